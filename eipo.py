@@ -1,0 +1,359 @@
+"""Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO as its inner loop. JAX and optax.
+
+Read from the bottom: `eipo()` is Algorithm 1, tagged with the paper's line numbers. What it calls stands above it,
+in the order of Algorithm 1: networks, rollout (L6, L7), estimates (L8, L10, L12), PPO update (L9, L11), the step on
+alpha (L13).
+
+    J, F            discounted sums of the task reward (Eq. 1) and of the auxiliary cost (Eq. 3)
+    pi, pi_prime    the policy that we want, alpha J - F, and the one that only knows the task, J
+    alpha, lam      the multiplier of Eq. (4) and the weight of Eq. (2): lam = 1 / alpha
+    T, N, K         steps of a rollout, environments, heads of the critic (task, cost)
+
+The outer loop is plain Python, so that a `breakpoint()` works anywhere in it; what is worth compiling is jitted. An
+environment here is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.scipy.stats import norm
+
+LOG_STD_RANGE = (-4.0, 1.0)  # the noise of the policy can neither vanish nor explode
+
+
+@dataclass(frozen=True)
+class Config:
+    """How to learn. Every field says where its value comes from."""
+
+    algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
+    lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
+    seed: int = 0  # [ours]
+    num_envs: int = 128  # [ours] environments in all; EIPO gives each policy half of them (D9)
+    iterations: int = 4000  # [V-A]
+    num_steps: int = 24  # [IV-C] T
+    num_epochs: int = 5  # [IV-C]
+    num_minibatches: int = 4  # [IV-C]
+    lr: float = 3e-4  # [ours] Adam's step size, eta_pi and eta_pi'; the paper's 1e-3 fails on small batches (D20)
+    gamma: float = 0.99  # [lab code] discount, Eq. (1)
+    gae_lambda: float = 0.95  # [lab code]
+    clip_eps: float = 0.2  # [lab code] PPO's clip range
+    ent_coef: float = 0.01  # [lab code] weight of the entropy bonus
+    max_grad_norm: float = 1.0  # [IV-C] per network, so that no loss spends another's budget
+    reward_scale: float = 0.02  # [lab code] s, streams are multiplied by the length of a step (D10)
+    lr_alpha: float = 0.01  # [IV-C] eta_alpha
+    clip_alpha: float = 1.0  # [IV-C] the gradient in alpha is clipped to +- this
+    momentum_alpha: float = 0.99  # [IV-C]
+    dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
+    alpha0: float = 0.0  # [ours] alpha at the start; 0 means 1 / lam (D6)
+    log_std: float = 0.0  # [lab code] of the policy's noise, at the start
+    hidden: tuple = (512, 256, 128)  # [IV-C] actor and critic
+    hidden_estimator: tuple = (256, 128)  # [IV-C]
+
+
+class Learner(NamedTuple):
+    """A policy with all that trains it."""
+
+    params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
+    opt_state: tuple
+
+
+class Rollout(NamedTuple):
+    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or truncated, not both."""
+
+    obs: np.ndarray  # (T, N, D)
+    privileged: np.ndarray  # (T, N, P)
+    action: np.ndarray  # (T, N, A)
+    reward: np.ndarray  # (T, N, K): task reward r and cost lam f, both times reward_scale
+    terminated: np.ndarray  # (T, N)
+    truncated: np.ndarray  # (T, N)
+    final_value: np.ndarray  # (T, N, K) the critic's value of the final observation where truncated, else 0
+    next_obs: np.ndarray  # (N, D) after the last step
+    next_privileged: np.ndarray  # (N, P)
+
+
+class Estimate(NamedTuple):
+    """What lines 8 and 10 estimate from a rollout."""
+
+    advantage: jax.Array  # (T, N, K) never normalised
+    target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
+    log_prob: jax.Array  # (T, N)
+
+
+class Dual(NamedTuple):
+    """The multiplier and its momentum."""
+
+    alpha: float
+    velocity: float
+
+
+class State(NamedTuple):
+    """Everything that an iteration depends on, apart from the environments' own state."""
+
+    iteration: int
+    pi: Learner
+    pi_prime: Learner | None
+    dual: Dual
+    at: tuple  # obs, privileged: where pi's environments are
+    at_prime: tuple | None
+
+
+# ---- networks (Section IV-C.b) ----
+
+
+def init_mlp(key, sizes):
+    """Layers [(W, b), ...] of an MLP, uniform in +- 1/sqrt(fan-in) [lab code: PyTorch's default]."""
+    layers = []
+    for k, n_in, n_out in zip(jax.random.split(key, len(sizes) - 1), sizes[:-1], sizes[1:], strict=True):
+        both = jax.random.uniform(k, (n_in + 1, n_out), minval=-1, maxval=1) / np.sqrt(n_in)
+        layers.append((both[:-1], both[-1]))
+    return layers
+
+
+def mlp(layers, x):
+    """x: (..., n_in) -> (..., n_out), ELU between the layers."""
+    *hidden, (w_out, b_out) = layers
+    for w, b in hidden:
+        x = jax.nn.elu(x @ w + jnp.broadcast_to(b, (*x.shape[:-1], *b.shape)))
+    return x @ w_out + jnp.broadcast_to(b_out, (*x.shape[:-1], *b_out.shape))
+
+
+def policy(params, obs):
+    """Mean (..., A) and standard deviation (A,) of the action, and the estimate (..., P) of what is privileged.
+
+    obs: (..., D). The estimate is an input of the actor, but learns from its own error alone (D19).
+    """
+    estimate = mlp(params["estimator"], obs)
+    mean = mlp(params["actor"]["layers"], jnp.concatenate([obs, jax.lax.stop_gradient(estimate)], -1))
+    return mean, jnp.exp(jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)), estimate
+
+
+@jax.jit
+def value(params, obs, privileged):
+    """The critic: (..., K) values of obs (..., D), privileged (..., P)."""
+    return mlp(params["critic"], jnp.concatenate([obs, privileged], -1))
+
+
+@jax.jit
+def act(params, obs, key, t):
+    """Sample actions (N, A) for obs (N, D). key, t: random key of the rollout and step within it."""
+    mean, std, _ = policy(params, obs)
+    return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
+
+
+def log_prob(mean, std, action):
+    """Log-density (...,) of action (..., A) under independent normals."""
+    return norm.logpdf((action - mean) / std).sum(-1) - jnp.log(std).sum()
+
+
+def optimizer(cfg):
+    """Adam's direction, with each network's gradient clipped by its own norm; non-finite updates are skipped."""
+    clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
+    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.adam(cfg.lr))
+    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
+
+
+def init_learner(key, env, heads, cfg):
+    """A new policy for env. heads: K, 2 for pi (task, cost), 1 for pi_prime (task)."""
+    k_actor, k_critic, k_estimator = jax.random.split(key, 3)
+    seen = env.obs_size + env.privileged_size
+    actor = dict(
+        layers=init_mlp(k_actor, (seen, *cfg.hidden, env.action_size)),
+        log_std=jnp.full(env.action_size, cfg.log_std, jnp.float32),
+    )
+    critic = init_mlp(k_critic, (seen, *cfg.hidden, heads))
+    estimator = init_mlp(k_estimator, (env.obs_size, *cfg.hidden_estimator, env.privileged_size))
+    params = dict(actor=actor, critic=critic, estimator=estimator)
+    return Learner(params, optimizer(cfg).init(params))
+
+
+# ---- L6, L7: rollouts ----
+
+
+def rollout(env, params, at, key, cfg):
+    """T steps of env under the policy, from where it is.
+
+    at: (obs, privileged) of the N environments now
+    returns Rollout, the new `at`, and the log: means of the environment's float columns, counts of its boolean ones
+    """
+    heads = params["critic"][-1][1].shape[0]
+    steps, logs = [], []
+    for t in range(cfg.num_steps):
+        obs, privileged = at
+        action = np.asarray(act(params, obs, key, t))
+        next_obs, reward, terminated, truncated, info = env.step(action)
+        streams = cfg.reward_scale * np.stack([reward, cfg.lam * info["cost"]], -1)[:, :heads]
+        final_value = np.zeros(streams.shape, np.float32)
+        if truncated.any():  # a time limit is not the end of the world: bootstrap from the final observation
+            final = value(params, info["final_obs"], info["final_privileged"].astype(np.float32))
+            final_value = np.where(truncated[:, None], final, final_value)
+        steps.append((obs, privileged, action, streams.astype(np.float32), terminated, truncated, final_value))
+        logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
+        at = next_obs, info["privileged"].astype(np.float32)
+    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), *at)
+    columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
+    return tau, at, {name: float(c.sum() if c.dtype == bool else c.mean()) for name, c in columns.items()}
+
+
+# ---- L8, L10, L12: estimates ----
+
+
+def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
+    """Generalised advantage estimation: sum over l of (gamma gae_lambda)^l delta_{t+l}, up to the episode's end.
+
+    reward, value: (T, ...); next_value: (T, ...) value of the state that step t led to, also where truncated
+    terminated, truncated: (T, ...) bool. Both cut the sum; only `terminated` says that nothing comes after.
+    returns (T, ...) advantages
+    """
+    delta = reward + gamma * next_value * ~terminated - value
+    decay = gamma * gae_lambda * ~(terminated | truncated)
+
+    def backwards(advantage, step):
+        delta_t, decay_t = step
+        advantage = delta_t + decay_t * advantage
+        return advantage, advantage
+
+    return jax.lax.scan(backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True)[1]
+
+
+@partial(jax.jit, static_argnames="cfg")
+def estimate(params, tau, cfg):
+    """Advantages and returns of a rollout, each stream by itself: GAE is linear, so mixing can wait (L8, L10)."""
+    values = value(params, tau.obs, tau.privileged)
+    after = value(params, tau.next_obs, tau.next_privileged)
+    terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
+    next_values = jnp.where(truncated, tau.final_value, jnp.concatenate([values[1:], after[None]]))
+    ends = [jnp.broadcast_to(end, values.shape) for end in (terminated, truncated)]
+    advantage = gae(tau.reward, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
+    mean, std, _ = policy(params, tau.obs)
+    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
+
+
+def mix(advantage, alpha, lam):
+    """Advantage (T, N) of alpha J - F, up to a positive factor. Eqs. (2) and (4), D6.
+
+    advantage: (T, N, 2) of the streams r and lam f. Weights (alpha lam, -1) are alpha A_r - A_f, divided by 1 / lam;
+    with alpha = 1 / lam that is A_r - lam A_f: PPO on Eq. (2). lam = 0, alpha infinite, leaves the task alone.
+    """
+    return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
+
+
+def estimate_J(estimate):
+    """J of a policy from its rollout: batch mean of the lambda-returns of the task stream (L12, D8).
+
+    Never from normalised advantages: their mean is 0 whatever the policy, and alpha would not move.
+    """
+    return estimate.target[..., 0].mean()
+
+
+# ---- L9, L11: the PPO update ----
+
+
+def clipped_surrogate(ratio, advantage, clip_eps):
+    """PPO's objective (...,): min(ratio A, clip(ratio, 1 - eps, 1 + eps) A)."""
+    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip_eps, 1 + clip_eps) * advantage)
+
+
+def ppo_loss(params, batch, cfg):
+    """Loss of a minibatch, and what to log. The three networks share no parameters, so the sum trains each alone."""
+    mean, std, velocity = policy(params, batch["obs"])
+    log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
+    ratio = jnp.exp(log_ratio)
+    surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
+    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum()
+    value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
+    estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
+    loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
+    kl = (ratio - 1 - log_ratio).mean()  # an estimate of KL(old, new) that is never negative
+    return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
+
+
+@partial(jax.jit, static_argnames="cfg", donate_argnames="learner")
+def ppo_update(learner, tau, estimate, advantage, key, cfg):
+    """All epochs and minibatches of one iteration. advantage: (T, N), mixed, not normalised yet.
+
+    returns the new Learner and the means of what ppo_loss logs. The old Learner's buffers are reused: do not touch it.
+    """
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
+                target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
+    size = advantage.size
+    data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
+    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(jax.random.split(key, cfg.num_epochs))
+    minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
+
+    def step(learner, chosen):
+        batch = {name: x[chosen] for name, x in data.items()}
+        gradient, log = jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg)
+        updates, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
+        return Learner(optax.apply_updates(learner.params, updates), opt_state), log
+
+    learner, log = jax.lax.scan(step, learner, minibatches)
+    return learner, {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite)
+
+
+# ---- L13: the multiplier ----
+
+
+def step_alpha(dual, gap, cfg):
+    """One step on alpha: gradient ascent on L of Eq. (4) with momentum, as torch's SGD does it. Section IV-C.c.
+
+    gap: J(pi) - J(pi_prime). dL/dalpha = -gap, so alpha rises while pi is worse than pi_prime. Deviation D2: the
+    paper prints +gap. The gradient is clipped to +- clip_alpha; alpha stays >= 0 and loses its momentum there.
+    returns Dual
+    """
+    gradient = float(np.clip(-gap, -cfg.clip_alpha, cfg.clip_alpha))
+    velocity = cfg.momentum_alpha * dual.velocity + (1 - cfg.dampening_alpha) * gradient
+    alpha = dual.alpha + cfg.lr_alpha * velocity
+    return Dual(alpha, velocity) if alpha > 0 else Dual(0.0, 0.0)
+
+
+# ---- Algorithm 1 ----
+
+
+def start(env, seed):
+    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment."""
+    obs, info = env.reset(seed)
+    return obs, info["privileged"].astype(np.float32)
+
+
+def eipo(env, env_prime, cfg, resume=None, step_alpha=step_alpha):
+    """Algorithm 1, as a generator: yields State and a dict of metrics, before the first and after every iteration.
+
+    env, env_prime: environments of pi and of pi_prime; PPO has no env_prime (None)
+    resume:         State to continue from (the caller restores the environments), None to start
+    step_alpha:     what line 13 does, replaceable by experiments
+    A State is valid until the generator is asked for the next one. The tags are the paper's line numbers.
+    """
+    # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
+    # Alg.1 L2   Output: policy pi, in every State that is yielded
+    both, root = cfg.algo == "eipo", jax.random.key(cfg.seed)
+    key, key_prime = jax.random.split(root)
+    pi, pi_prime = init_learner(key, env, 2, cfg), init_learner(key_prime, env, 1, cfg)  # Alg.1 L3
+    dual = Dual(cfg.alpha0 or (1 / cfg.lam if cfg.lam else np.inf), 0.0)  # Alg.1 L4
+    at, at_prime = start(env, 2 * cfg.seed), start(env_prime, 2 * cfg.seed + 1) if both else None
+    state = resume or State(0, pi, pi_prime if both else None, dual, at, at_prime)
+    yield state, {}
+    done, pi, pi_prime, dual, at, at_prime = state
+    for iteration in range(done + 1, cfg.iterations + 1):  # Alg.1 L5
+        keys = jax.random.split(jax.random.fold_in(root, iteration), 4)
+        tau, at, log = rollout(env, pi.params, at, keys[0], cfg)  # Alg.1 L6
+        if both:
+            tau_prime, at_prime, log_prime = rollout(env_prime, pi_prime.params, at_prime, keys[1], cfg)  # Alg.1 L7
+        est = estimate(pi.params, tau, cfg)  # Alg.1 L8
+        metrics = log | dict(J=estimate_J(est), alpha=dual.alpha)
+        pi, trained = ppo_update(pi, tau, est, mix(est.advantage, dual.alpha, cfg.lam), keys[2], cfg)  # Alg.1 L9
+        if both:
+            est_prime = estimate(pi_prime.params, tau_prime, cfg)  # Alg.1 L10
+            task = est_prime.advantage[..., 0]
+            pi_prime, trained_prime = ppo_update(pi_prime, tau_prime, est_prime, task, keys[3], cfg)  # Alg.1 L11, D1
+            gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
+            dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
+            metrics |= dict(gap=gap) | {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
+        state = State(iteration, pi, pi_prime, dual, at, at_prime)
+        yield state, dict(steps=iteration * cfg.num_steps * cfg.num_envs) | metrics | trained
+    # Alg.1 L14  end for

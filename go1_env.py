@@ -1,0 +1,257 @@
+"""The Unitree Go1 as a batched Markov decision process: NumPy around `mujoco.batch`.
+
+Sections IV-A to IV-C of the paper. `Go1Env` steps `num_envs` robots at once on C++ threads; the results are the
+same bits for any number of threads. It follows Gymnasium's vector conventions without the dependency:
+`reset(seed) -> obs, info` and `step(action) -> obs, reward, terminated, truncated, info`, with same-step autoreset:
+where an episode ended, `obs` is the first observation of the next one and `info["final_obs"]` the last of the old.
+
+One frame of the observation, in this order. The policy sees the last H frames, oldest first (D16); after a reset
+all of them are the first one. Only quantities that the robot can measure:
+
+| entry                | width | unit    | scale      | noise +- (before scale)                                  |
+|----------------------|-------|---------|------------|----------------------------------------------------------|
+| gravity, body frame  | 3     | -       | 1          | 0.05                                                     |
+| command              | 3     | m/s, rad/s | 2, 2, 0.25 | 0                                                     |
+| q - q_nominal        | 12    | rad     | 1          | 0.01                                                     |
+| qd                   | 12    | rad/s   | 0.05       | 1.5                                                      |
+| previous action      | 12    | -       | 1          | 0                                                        |
+| timing reference     | 2     | -       | 1          | 0: sin and cos of one 3 Hz clock (D14), no gait prescribed |
+
+Joints and legs: FR, FL, RR, RL x hip, thigh, calf. Scales and noise are the lab's (D5).
+This file knows nothing of learning, and nothing here depends on the learner.
+"""
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from scipy.spatial.transform import Rotation
+
+import actuators
+import energy
+import rewards
+
+MODEL = Path(__file__).with_name("go1.xml")
+Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, action 0 [lab code]
+LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02  # m: thigh and calf length, hip to thigh, sole [URDF]
+SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
+ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hips half [lab code]
+FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
+FRAME_WIDTH = sum(FRAME.values())
+FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12, 2])
+FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
+
+
+class Task(NamedTuple):
+    """What tells one task of Section IV-A from another: its reward and the range of its commands."""
+
+    reward: Callable
+    command_low: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s]
+    command_high: tuple = (0.0, 0.0, 0.0)
+
+
+TASKS = {"flat": Task(rewards.flat, command_high=(1.0, 0.0, 0.0))}
+
+
+@dataclass(frozen=True)
+class Config:
+    """What the world is like. Every field says where its value comes from."""
+
+    task: str = "flat"  # [IV-A] one of TASKS
+    history: int = 5  # [V-A] H, frames of observation that the policy sees
+    episode_steps: int = 1000  # [V-A] control steps, 20 s
+    command_steps: int = 500  # [lab code] control steps between two draws of the command, 10 s
+    timestep: float = 0.005  # [lab code] s, one physics step
+    physics_steps: int = 4  # [lab code] physics steps per control step: 50 Hz
+    clock_hz: float = 3.0  # [ours] D14, frequency of the timing reference
+    action_limit: float = 10.0  # [lab code] actions are clipped to +- this
+    clip: str = "torque"  # [Eq. 9] D3, "torque" as printed or "power"
+    noise: float = 1.0  # [lab code] factor on the noise of the observation
+    friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
+    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
+    stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
+
+
+def foot_heights(q):
+    """Height of the four soles relative to the trunk's origin, for a level trunk [m].
+
+    q: (..., 12) [rad] joint angles; returns (..., 4), negative below the trunk. Kinematics of the URDF.
+    """
+    hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
+    below = -LINK * (np.cos(thigh) + np.cos(thigh + calf))
+    return HIP_OFFSET * SIDE * np.sin(hip) + below * np.cos(hip) - FOOT_RADIUS
+
+
+class Go1Env:
+    """`num_envs` Go1 robots on one task.
+
+    num_envs: N, at least 1
+    config:   see Config
+    threads:  C++ threads; 0 takes every core that this process may use
+    Raises ValueError for an unknown task, a non-positive count or a malformed range.
+    """
+
+    action_size = 12
+    privileged_size = 3  # true body velocity: the critic sees it, the estimator learns it
+
+    def __init__(self, num_envs, config=Config(), threads=0):
+        check(num_envs, config, threads)
+        self.num_envs, self.config, self.task = num_envs, config, TASKS[config.task]
+        self.obs_size = config.history * FRAME_WIDTH
+        # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
+        mujoco.set_mju_user_warning(lambda message: None)
+        model = mujoco.MjModel.from_xml_path(str(MODEL))
+        model.opt.timestep = config.timestep
+        self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
+        self.trunk, self.trunk_mass = model.body("trunk").id, model.body("trunk").mass[0]
+        self.feet = [model.geom(f"{leg}_foot").id for leg in ("FR", "FL", "RR", "RL")]
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        self.batch = batch = Batch(model, num_envs, threads or cores)
+        self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        touch = model.sensor("trunk_contact").adr[0]
+        self.trunk_contact = batch.bind("sensordata")[:, touch]  # contacts of the trunk with the ground
+        self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
+        self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
+        self.action = np.zeros((num_envs, 12))
+        self.command = np.zeros((num_envs, 3))
+        self.age = np.zeros(num_envs, np.int64)  # control steps since the episode began
+        self.rng = np.random.default_rng(0)
+
+    def reset(self, seed):
+        """Start every episode anew. seed: int or numpy SeedSequence; returns obs, info (see step)."""
+        self.rng = np.random.default_rng(seed)
+        everyone = np.arange(self.num_envs)
+        self._reset(everyone)
+        if self.config.stagger:
+            self.age[:] = self.rng.integers(self.config.episode_steps, size=self.num_envs)
+            self.frames[:] = self._frame(everyone)[:, None]
+        return self._obs(), {"privileged": self._velocity()[0]}
+
+    def step(self, action):
+        """One control step of 20 ms for every robot.
+
+        action:  (N, 12) [-] joint targets, as q_nominal + ACTION_SCALE * action
+        returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
+                 cost (N,) [W] Eq. (9), mean of the physics steps (D17); privileged (N, 3) [m/s] body velocity;
+                 final_obs, final_privileged: the same before autoreset, to be used where an episode ended;
+                 log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
+        """
+        self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
+        power, touched = self._physics(Q_NOMINAL + ACTION_SCALE * self.action)
+        self.age += 1
+        linear, yaw_rate = self._velocity()
+        # D13: the trunk on the ground ends the episode. MuJoCo resets a state that is not finite and counts a warning
+        diverged = self.batch.warning[..., 1].any(-1)
+        terminated = diverged | touched
+        truncated = ~terminated & (self.age >= self.config.episode_steps)
+        reward = np.where(diverged, 0.0, self.task.reward(np.column_stack([linear[:, :2], yaw_rate]), self.command))
+        power = np.where(diverged, energy.SURVIVAL, power)  # a cost of 0
+        log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_trunk=touched & ~diverged,
+                   ended_diverged=diverged, ended_time_limit=truncated)  # fmt: skip
+        self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
+        self.frames[:, :-1] = self.frames[:, 1:]
+        self.frames[:, -1] = self._frame(np.arange(self.num_envs))
+        info = dict(cost=power - energy.SURVIVAL, log=log, final_obs=self._obs(), final_privileged=linear)
+        ended = np.flatnonzero(terminated | truncated)
+        if ended.size:
+            self._reset(ended)
+            linear, _ = self._velocity()
+        return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
+
+    def state(self):
+        """Everything that the next step depends on, as a dict of arrays: what a checkpoint stores."""
+        rng = np.array(json.dumps(self.rng.bit_generator.state))
+        return {name: getattr(self, name).copy() for name in self._state} | dict(sim=self.batch.state.copy(), rng=rng)
+
+    def load(self, state):
+        """Continue from `state()`, with the same bits as if never stopped."""
+        for name in self._state:
+            getattr(self, name)[:] = state[name]
+        self.batch.state[:] = state["sim"]
+        self.batch.set_const()  # what MuJoCo derives from the masses
+        self.rng.bit_generator.state = json.loads(str(state["rng"]))
+
+    _state = ("frames", "action", "command", "age", "friction", "mass")
+
+    def _physics(self, target):
+        """Apply joint targets for one control step: mean power of its physics steps [W], whether the trunk touched."""
+        power, touched = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        for _ in range(self.config.physics_steps):
+            q, qd = self.qpos[:, 7:], self.qvel[:, 6:]
+            torque = actuators.limit_torque(actuators.pd_torque(target, q, qd), qd)
+            power += energy.total_power(torque, qd, self.config.clip)
+            self.ctrl[:] = torque
+            self.batch.step()
+            touched |= self.trunk_contact > 0
+        return power / self.config.physics_steps, touched
+
+    def _velocity(self):
+        """True velocity of the trunk in its own frame: linear (N, 3) [m/s] and yaw rate (N,) [rad/s]."""
+        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
+        return to_world.apply(self.qvel[:, :3], inverse=True), self.qvel[:, 5].copy()
+
+    def _frame(self, ids):
+        """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""
+        to_world = Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
+        phase = 2 * np.pi * self.config.clock_hz * self.config.timestep * self.config.physics_steps * self.age[ids]
+        frame = np.column_stack([
+            to_world.apply([0.0, 0.0, -1.0], inverse=True),  # gravity
+            self.command[ids],
+            self.qpos[ids, 7:] - Q_NOMINAL,  # q
+            self.qvel[ids, 6:],  # qd
+            self.action[ids],  # previous action
+            np.sin(phase), np.cos(phase),  # timing reference
+        ])  # fmt: skip
+        noise = self.config.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
+        return FRAME_SCALE * (frame + noise)
+
+    def _obs(self):
+        """The policy's observation: a copy of the history, flattened, (N, H * FRAME_WIDTH) float32."""
+        return self.frames.reshape(self.num_envs, -1).copy()
+
+    def _draw_commands(self, ids):
+        """New commands [m/s, m/s, rad/s] for the robots `ids`, uniform in the task's range."""
+        self.command[ids] = self.rng.uniform(self.task.command_low, self.task.command_high, (len(ids), 3))
+
+    def _reset(self, ids):
+        """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command, history."""
+        n, uniform = len(ids), self.rng.uniform
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        q = np.clip(Q_NOMINAL * uniform(0.5, 1.5, (n, 12)), *self.joint_range)  # [lab code]
+        yaw = uniform(-np.pi, np.pi, n)
+        self.qpos[ids, :2] = 0.0
+        self.qpos[ids, 2] = -foot_heights(q).min(-1)  # the lowest foot touches the ground
+        self.qpos[ids, 3:7] = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_quat(scalar_first=True)
+        self.qpos[ids, 7:] = q
+        self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]
+        self.friction[np.ix_(ids, self.feet, [0])] = uniform(*self.config.friction, (n, 1, 1))
+        self.mass[ids, self.trunk] = self.trunk_mass + uniform(*self.config.payload, n)
+        self.batch.set_const(ids)  # what MuJoCo derives from the masses
+        self.action[ids], self.age[ids] = 0.0, 0
+        self._draw_commands(ids)
+        self.frames[ids] = self._frame(ids)[:, None]
+
+
+def check(num_envs, config, threads):
+    """Raise ValueError, in one line, for what no world can be built from."""
+    if config.task not in TASKS:
+        raise ValueError(f"unknown task {config.task!r}: choose one of {', '.join(TASKS)}")
+    counts = dict(num_envs=num_envs, history=config.history, episode_steps=config.episode_steps,
+                  command_steps=config.command_steps, physics_steps=config.physics_steps)  # fmt: skip
+    for name, count in counts.items():
+        if count < 1:
+            raise ValueError(f"{name} is {count}: it must be at least 1")
+    if threads < 0:
+        raise ValueError(f"threads is {threads}: it must be 0 (every core) or more")
+    if config.clip not in ("torque", "power"):
+        raise ValueError(f'clip is "torque" or "power", not {config.clip!r}')
+    for name in ("friction", "payload"):
+        low, high = getattr(config, name)
+        if not -np.inf < low <= high < np.inf:
+            raise ValueError(f"{name} is {low}, {high}: it must be a finite range, low end first")
