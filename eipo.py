@@ -55,6 +55,25 @@ class Config:
     hidden_estimator: tuple = (256, 128)  # [IV-C]
 
 
+def check(cfg):
+    """Raise ValueError, in one line, for settings that cannot train."""
+    if cfg.algo not in ("eipo", "ppo"):
+        raise ValueError(f"unknown algo {cfg.algo!r}: choose eipo or ppo")
+    for name, x in vars(cfg).items():
+        if isinstance(x, float) and not np.isfinite(x):
+            raise ValueError(f"{name} is {x}: it must be a finite number")
+        if isinstance(x, int | tuple) and min(np.atleast_1d(x), default=0) < (name != "seed"):
+            raise ValueError(f"{name} is {x}: it must be at least {int(name != 'seed')}")
+    if min(cfg.lam, cfg.lr, cfg.lr_alpha, cfg.alpha0) < 0:
+        raise ValueError("lam, lr, lr_alpha and alpha0 must not be negative")
+    if cfg.algo == "eipo" and cfg.lam == 0:
+        raise ValueError("EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo")
+    if cfg.algo == "eipo" and cfg.num_envs % 2:
+        raise ValueError(f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even")
+    if cfg.num_steps * cfg.num_envs // (2 if cfg.algo == "eipo" else 1) < cfg.num_minibatches:
+        raise ValueError("num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs")
+
+
 class Learner(NamedTuple):
     """A policy with all that trains it."""
 
@@ -157,17 +176,16 @@ def optimizer(cfg):
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
-def init_learner(key, env, heads, cfg):
-    """A new policy for env. heads: K, 2 for pi (task, cost), 1 for pi_prime (task)."""
+@partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
+def init_learner(key, sizes, heads, cfg):
+    """A new Learner. sizes: widths of obs, privileged and action; heads: K, 2 for pi (task, cost), 1 for pi_prime."""
+    obs, privileged, action = sizes
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
-    seen = env.obs_size + env.privileged_size
-    actor = dict(
-        layers=init_mlp(k_actor, (seen, *cfg.hidden, env.action_size)),
-        log_std=jnp.full(env.action_size, cfg.log_std, jnp.float32),
-    )
-    critic = init_mlp(k_critic, (seen, *cfg.hidden, heads))
-    estimator = init_mlp(k_estimator, (env.obs_size, *cfg.hidden_estimator, env.privileged_size))
-    params = dict(actor=actor, critic=critic, estimator=estimator)
+    actor = init_mlp(k_actor, (obs + privileged, *cfg.hidden, action))
+    critic = init_mlp(k_critic, (obs + privileged, *cfg.hidden, heads))
+    estimator = init_mlp(k_estimator, (obs, *cfg.hidden_estimator, privileged))
+    log_std = jnp.full(action, cfg.log_std, jnp.float32)
+    params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
     return Learner(params, optimizer(cfg).init(params))
 
 
@@ -333,7 +351,8 @@ def eipo(env, env_prime, cfg, resume=None, step_alpha=step_alpha):
     # Alg.1 L2   Output: policy pi, in every State that is yielded
     both, root = cfg.algo == "eipo", jax.random.key(cfg.seed)
     key, key_prime = jax.random.split(root)
-    pi, pi_prime = init_learner(key, env, 2, cfg), init_learner(key_prime, env, 1, cfg)  # Alg.1 L3
+    sizes = env.obs_size, env.privileged_size, env.action_size
+    pi, pi_prime = init_learner(key, sizes, 2, cfg), init_learner(key_prime, sizes, 1, cfg)  # Alg.1 L3
     dual = Dual(cfg.alpha0 or (1 / cfg.lam if cfg.lam else np.inf), 0.0)  # Alg.1 L4
     at, at_prime = start(env, 2 * cfg.seed), start(env_prime, 2 * cfg.seed + 1) if both else None
     state = resume or State(0, pi, pi_prime if both else None, dual, at, at_prime)

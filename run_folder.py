@@ -1,0 +1,175 @@
+"""What a run leaves on disk, written by `train.py` and read by everything that looks at a run.
+
+    config.json      every setting, the versions, the commit and the command
+    metrics.csv      a row per iteration; columns that hold clock time have "time" or "per_s" in their name
+    checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha, simulations, random generators
+    policy.npz       what it takes to run the policy
+    curves.png       the metrics, drawn
+
+Nothing is pickled. Files are replaced in one step, so whoever reads them finds the old one or the new one. Whatever
+cannot be read raises ValueError with one line that says why.
+"""
+
+import csv
+import json
+import os
+import platform
+import shlex
+import subprocess
+import zipfile
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import actuators
+import eipo
+import go1_env
+
+
+def commit():
+    """Commit of this source, with a + if tracked files were changed since; "unknown" outside a git checkout."""
+
+    def git(*args):
+        here = Path(__file__).parent
+        return subprocess.run(["git", *args], cwd=here, capture_output=True, text=True, check=True).stdout
+
+    try:
+        return git("rev-parse", "HEAD").strip() + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def save_config(folder, env_config, config, argv):
+    """config.json: both Configs, and where, with what and how the run was started."""
+    about = dict(
+        command=shlex.join(["python", "train.py", *argv]),
+        commit=commit(),
+        machine=f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}",
+        versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
+    )
+    record = dict(env=asdict(env_config), learner=asdict(config)) | about
+    (folder / "config.json").write_text(json.dumps(record, indent=1) + "\n")
+
+
+def tuples(record):
+    """JSON has no tuples: turn the lists of a record back."""
+    return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
+
+
+def load_config(folder):
+    """The go1_env.Config and eipo.Config of a run."""
+    try:
+        record = json.loads((folder / "config.json").read_text())
+        return go1_env.Config(**tuples(record["env"])), eipo.Config(**tuples(record["learner"]))
+    except FileNotFoundError:
+        raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{folder / 'config.json'} is damaged or of another version: {error}") from None
+
+
+def write_npz(path, arrays):
+    """Write arrays to path in one step: a reader finds the old file or the new one, never half of it."""
+    temporary = path.with_name(path.name + ".tmp")
+    with open(temporary, "wb") as file:
+        np.savez(file, **arrays)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def read_npz(path):
+    """The arrays of an npz file as a dict. Raises ValueError, in one line, for what is not a whole one."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return dict(file)
+    except FileNotFoundError:
+        raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
+
+
+def named_leaves(tree):
+    """The leaves of a pytree by name: {"pi.params['actor']['log_std']": array, ...}."""
+    return {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+
+
+def save_checkpoint(path, state, envs):
+    """Everything: learners, optimisers, alpha, and for each environment its simulations and random generator."""
+    arrays = {"state" + name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
+    for i, env in enumerate(envs):
+        arrays |= {f"env{i}.{name}": x for name, x in env.state().items()}
+    write_npz(path, arrays)
+
+
+def load_checkpoint(path, template, envs):
+    """Restore the environments in place; returns the State. template: any State of this configuration."""
+    arrays = read_npz(path)
+
+    def restore(key, like):
+        found = arrays["state" + jax.tree_util.keystr(key)]
+        if found.shape != np.shape(like):
+            raise ValueError(f"{key} has shape {found.shape}, not {np.shape(like)}")
+        if isinstance(like, jax.Array):
+            return jnp.asarray(found)
+        return found if isinstance(like, np.ndarray) else found.item()
+
+    try:
+        state = jax.tree_util.tree_map_with_path(restore, template)
+        for i, env in enumerate(envs):
+            env.load({name.removeprefix(f"env{i}."): x for name, x in arrays.items() if name.startswith(f"env{i}.")})
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path} is not a checkpoint of this run: {error}") from None
+    return state
+
+
+def save_policy(path, params, env_config):
+    """What inference needs, without JAX: the weights of actor and estimator, and what turns numbers into units."""
+    layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
+    weights = {f"{net}.{i}.{name}": np.asarray(x) for net in layers for i, layer in enumerate(layers[net])
+               for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
+    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1_env.Q_NOMINAL, kp=actuators.KP,
+                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=actuators.KD)  # fmt: skip
+    write_npz(path, weights | units | dict(config=json.dumps(asdict(env_config))))
+
+
+def load_policy(path):
+    """The parameters that `eipo.policy` takes and the environment's Config, from a policy.npz."""
+    arrays = read_npz(path)
+
+    def layers(net):
+        return [(arrays[f"{net}.{i}.W"], arrays[f"{net}.{i}.b"]) for i in range(4) if f"{net}.{i}.W" in arrays]
+
+    try:
+        params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
+        return params, go1_env.Config(**tuples(json.loads(str(arrays["config"]))))
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is not a policy of this version: {error}") from None
+
+
+def draw_curves(folder):
+    """curves.png: the columns of metrics.csv that tell the story, over environment steps."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+
+    with open(folder / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    if not rows:
+        return
+    columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    panels = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]",
+                  gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
+    figure = Figure(figsize=(12, 6), layout="constrained")
+    for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):
+        for column, label in ((name, "pi"), ("prime_" + name, "pi'")):
+            if column in columns and np.isfinite(columns[column]).all():
+                axes.plot(columns["steps"] / 1e6, columns[column], label=label, linewidth=0.8)
+        axes.set(title=title, xlabel="million steps")
+        axes.grid(alpha=0.3)
+    figure.axes[0].legend()
+    figure.savefig(folder / "curves.png", dpi=100)

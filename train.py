@@ -1,0 +1,190 @@
+"""The command line: `python train.py --task flat` trains a policy and keeps everything in a run folder.
+
+Every field of the three dataclasses (`Options` here, `go1_env.Config`, `eipo.Config`) is a flag of the same name. What
+a run folder holds is listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on with --resume
+and ends with the same bits as one that was never stopped.
+"""
+
+import argparse
+import csv
+import inspect
+import re
+import signal
+import sys
+import time
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import eipo
+import go1_env
+import run_folder
+
+# What the paper sets per task: H, the first (EIPO) or only (PPO) lambda, and the length of training [V-A]
+TASKS = {"flat": dict(history=5, lam=0.005, iterations=4000)}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run: none of these changes what is learned."""
+
+    out: str = ""  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>-seed<seed>
+    resume: bool = False  # [ours] continue the run in that folder; --iterations may be raised, nothing else changed
+    threads: int = 0  # [ours] threads that step the physics; 0 takes every core
+    checkpoint_every: int = 50  # [ours] iterations between two checkpoints
+
+
+CONFIGS = (Options, go1_env.Config, eipo.Config)
+
+
+# ---- settings ----
+
+
+def describe(config):
+    """The comment behind each field of a config dataclass: {"gamma": "[lab code] discount, Eq. (1)", ...}."""
+    return dict(re.findall(r"^    (\w+): .*?  # (.*)$", inspect.getsource(config), re.M))
+
+
+def parse(argv):
+    """The flags that were given: one dict of fields for each of CONFIGS."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS)
+    for config in CONFIGS:
+        comments = describe(config)
+        for field in fields(config):
+            kind = dict(type=field.type)
+            if field.type is bool:
+                kind = dict(action=argparse.BooleanOptionalAction)
+            if field.type is tuple:
+                kind = dict(nargs="+", type=type(field.default[0]))
+            text = f"{comments[field.name]} (default: {field.default})".replace("%", "%%")
+            parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind)
+    given = run_folder.tuples(vars(parser.parse_args(argv)))
+    return [{f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS]
+
+
+def settle(given_env, given_learner):
+    """Defaults, then what the paper sets for the task, then what was given: go1_env.Config and eipo.Config."""
+    task = given_env.get("task", go1_env.Config.task)
+    if task not in TASKS:
+        raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
+    paper = [{f.name: TASKS[task][f.name] for f in fields(config) if f.name in TASKS[task]} for config in CONFIGS[1:]]
+    return go1_env.Config(**paper[0] | given_env), eipo.Config(**paper[1] | given_learner)
+
+
+def settle_resumed(folder, given_env, given_learner):
+    """The Configs of the run in folder, with --iterations raised if that was given."""
+    saved_env, saved = run_folder.load_config(folder)
+    for name, x in (given_env | given_learner).items():
+        was = (asdict(saved_env) | asdict(saved))[name]
+        if x != was and not (name == "iterations" and x > was):
+            flag = "--" + name.replace("_", "-")
+            raise ValueError(f"{folder} runs with {flag} {was}, not {x}: --resume can only raise --iterations")
+    return saved_env, replace(saved, iterations=given_learner.get("iterations", saved.iterations))
+
+
+# ---- the run ----
+
+
+class Log:
+    """metrics.csv and the console line."""
+
+    def __init__(self, folder, done, iterations):
+        """done: iterations behind us; rows after them are dropped, because they will be computed again."""
+        self.done, self.iterations, self.start = done, iterations, time.monotonic()
+        path = folder / "metrics.csv"
+        kept = path.read_text().splitlines(keepends=True)[: done + 1] if done else []
+        path.write_text("".join(kept))
+        self.file = open(path, "a", newline="", buffering=1)  # noqa: SIM115  a row is on disk before its checkpoint
+
+    def row(self, iteration, metrics):
+        """Write one row, and what matters of it to the console."""
+        seconds, new = time.monotonic() - self.start, iteration - self.done
+        rate = metrics["steps"] / iteration * new / seconds
+        row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
+        if iteration == 1:
+            csv.writer(self.file).writerow(row)
+        csv.writer(self.file).writerow(row.values())
+        left = seconds / new * (self.iterations - iteration) / 60
+        line = (
+            f"{iteration}/{self.iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
+            f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
+            + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
+        )
+        if sys.stdout.isatty():
+            print(f"\r{line}\x1b[K", end="", flush=True)
+        elif iteration % 100 == 0 or iteration == self.iterations:
+            print(line, flush=True)
+
+
+def prepare(options, given_env, given_learner, argv):
+    """Make the run folder, or check that what it holds fits; returns folder, go1_env.Config, eipo.Config."""
+    if options.checkpoint_every < 1:
+        raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
+    env_config, config = settle(given_env, given_learner)
+    folder = Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}-seed{config.seed}")
+    if options.resume:
+        if not (folder / "checkpoint.npz").exists():
+            raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
+        env_config, config = settle_resumed(folder, given_env, given_learner)
+    elif folder.exists() and any(folder.iterdir()):
+        raise ValueError(f"{folder} is not empty: add --resume to continue its run, or choose another --out")
+    eipo.check(config)
+    if not options.resume:
+        go1_env.check(config.num_envs, env_config, options.threads)
+        folder.mkdir(parents=True, exist_ok=True)
+        run_folder.save_config(folder, env_config, config, argv)
+    return folder, env_config, config
+
+
+def save(folder, state, envs):
+    """A checkpoint, and what a reader of the run folder wants to see beside it."""
+    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
+    run_folder.save_policy(folder / "policy.npz", state.pi.params, envs[0].config)
+    run_folder.draw_curves(folder)
+
+
+def train(folder, env_config, config, options, stop):
+    """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until stop() is true."""
+    policies = 2 if config.algo == "eipo" else 1
+    envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
+    env, env_prime = (*envs, None)[:2]
+    first, _ = next(eipo.eipo(env, env_prime, config))  # a fresh State, also the template of a saved one
+    if options.resume:
+        first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)
+    log = Log(folder, first.iteration, config.iterations)
+    print(f"{folder}: {config.algo} on {env_config.task}, {config.num_envs} environments. Compiling (once, ~15 s) ...")
+    for state, metrics in eipo.eipo(env, env_prime, config, resume=first):
+        if metrics:
+            log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
+        if stop() or state.iteration % options.checkpoint_every == 0 or state.iteration == config.iterations:
+            save(folder, state, envs)
+        if stop():
+            break
+    return state.iteration
+
+
+def main(argv):
+    """Parse, train, report. Returns the exit status."""
+    given_options, given_env, given_learner = parse(argv)
+    options, stopped = Options(**given_options), []
+
+    def on_signal(number, frame):
+        stopped.append(number)
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a second Ctrl-C does not wait
+
+    try:
+        folder, env_config, config = prepare(options, given_env, given_learner, argv)
+        signal.signal(signal.SIGINT, on_signal)
+        signal.signal(signal.SIGTERM, on_signal)
+        done = train(folder, env_config, config, options, lambda: bool(stopped))
+    except (ValueError, OSError) as error:
+        print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    if done < config.iterations:
+        print(f"\nStopped after iteration {done}. Continue with: python train.py --out {folder} --resume")
+        return 130
+    print(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
