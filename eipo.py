@@ -115,10 +115,10 @@ class State(NamedTuple):
 
     iteration: int
     pi: Learner
-    pi_prime: Learner | None
+    pi_prime: Learner | None  # None for PPO
     dual: Dual
     at: tuple  # obs, privileged: where pi's environments are
-    at_prime: tuple | None
+    at_prime: tuple | None  # None for PPO
 
 
 # ---- networks (Section IV-C.b) ----
@@ -142,13 +142,14 @@ def mlp(layers, x):
 
 
 def policy(params, obs):
-    """Mean (..., A) and standard deviation (A,) of the action, and the estimate (..., P) of what is privileged.
+    """Mean and standard deviation (..., A) of the action, and the estimate (..., P) of what is privileged.
 
     obs: (..., D). The estimate is an input of the actor, but learns from its own error alone (D19).
     """
     estimate = mlp(params["estimator"], obs)
     mean = mlp(params["actor"]["layers"], jnp.concatenate([obs, jax.lax.stop_gradient(estimate)], -1))
-    return mean, jnp.exp(jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)), estimate
+    std = jnp.exp(jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE))
+    return mean, jnp.broadcast_to(std, mean.shape), estimate
 
 
 @jax.jit
@@ -166,7 +167,7 @@ def act(params, obs, key, t):
 
 def log_prob(mean, std, action):
     """Log-density (...,) of action (..., A) under independent normals."""
-    return norm.logpdf((action - mean) / std).sum(-1) - jnp.log(std).sum()
+    return norm.logpdf(action, mean, std).sum(-1)
 
 
 def optimizer(cfg):
@@ -282,7 +283,7 @@ def ppo_loss(params, batch, cfg):
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
-    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum()
+    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
     value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
@@ -334,7 +335,9 @@ def step_alpha(dual, gap, cfg):
 
 
 def start(env, seed):
-    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment."""
+    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment. None stays None."""
+    if env is None:
+        return None
     obs, info = env.reset(seed)
     return obs, info["privileged"].astype(np.float32)
 
@@ -352,10 +355,10 @@ def eipo(env, env_prime, cfg, resume=None, step_alpha=step_alpha):
     both, root = cfg.algo == "eipo", jax.random.key(cfg.seed)
     key, key_prime = jax.random.split(root)
     sizes = env.obs_size, env.privileged_size, env.action_size
-    pi, pi_prime = init_learner(key, sizes, 2, cfg), init_learner(key_prime, sizes, 1, cfg)  # Alg.1 L3
+    pi = init_learner(key, sizes, 2, cfg)
+    pi_prime = init_learner(key_prime, sizes, 1, cfg) if both else None  # Alg.1 L3
     dual = Dual(cfg.alpha0 or (1 / cfg.lam if cfg.lam else np.inf), 0.0)  # Alg.1 L4
-    at, at_prime = start(env, 2 * cfg.seed), start(env_prime, 2 * cfg.seed + 1) if both else None
-    state = resume or State(0, pi, pi_prime if both else None, dual, at, at_prime)
+    state = resume or State(0, pi, pi_prime, dual, start(env, 2 * cfg.seed), start(env_prime, 2 * cfg.seed + 1))
     yield state, {}
     done, pi, pi_prime, dual, at, at_prime = state
     for iteration in range(done + 1, cfg.iterations + 1):  # Alg.1 L5

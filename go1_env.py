@@ -153,7 +153,7 @@ class Go1Env:
         reward = np.where(diverged, 0.0, self.task.reward(np.column_stack([linear[:, :2], yaw_rate]), self.command))
         power = np.where(diverged, energy.SURVIVAL, power)  # a cost of 0
         log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_trunk=touched & ~diverged,
-                   ended_diverged=diverged, ended_time_limit=truncated)  # fmt: skip
+                   ended_diverged=diverged, ended_limit=truncated)  # fmt: skip
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
         self.frames[:, -1] = self._frame(np.arange(self.num_envs))
@@ -242,16 +242,13 @@ def check(num_envs, config, threads):
     """Raise ValueError, in one line, for what no world can be built from."""
     if config.task not in TASKS:
         raise ValueError(f"unknown task {config.task!r}: choose one of {', '.join(TASKS)}")
-    counts = dict(num_envs=num_envs, history=config.history, episode_steps=config.episode_steps,
-                  command_steps=config.command_steps, physics_steps=config.physics_steps)  # fmt: skip
-    for name, count in counts.items():
-        if count < 1:
-            raise ValueError(f"{name} is {count}: it must be at least 1")
-    if threads < 0:
-        raise ValueError(f"threads is {threads}: it must be 0 (every core) or more")
     if config.clip not in ("torque", "power"):
-        raise ValueError(f'clip is "torque" or "power", not {config.clip!r}')
-    for name in ("friction", "payload"):
-        low, high = getattr(config, name)
-        if not -np.inf < low <= high < np.inf:
-            raise ValueError(f"{name} is {low}, {high}: it must be a finite range, low end first")
+        raise ValueError(f'clip is {config.clip!r}: it must be "torque" or "power"')
+    for name, x in (vars(config) | dict(num_envs=num_envs, threads=threads)).items():
+        if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
+            raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
+        least = 0 if name in ("threads", "noise", "clock_hz") else 1 if isinstance(x, int) else 1e-9
+        if isinstance(x, int | float) and not least <= x < np.inf:
+            raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
+    if config.friction[0] < 0 or config.payload[0] <= -5:
+        raise ValueError("friction must not be negative, and a trunk of 5.6 kg cannot lose 5 kg or more")

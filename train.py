@@ -12,6 +12,7 @@ import re
 import signal
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -90,19 +91,17 @@ class Log:
     def __init__(self, folder, done, iterations):
         """done: iterations behind us; rows after them are dropped, because they will be computed again."""
         self.done, self.iterations, self.start = done, iterations, time.monotonic()
-        path = folder / "metrics.csv"
-        kept = path.read_text().splitlines(keepends=True)[: done + 1] if done else []
-        path.write_text("".join(kept))
-        self.file = open(path, "a", newline="", buffering=1)  # noqa: SIM115  a row is on disk before its checkpoint
+        self.path = folder / "metrics.csv"
+        kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
+        self.path.write_text("".join(kept))
 
     def row(self, iteration, metrics):
         """Write one row, and what matters of it to the console."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
-        if iteration == 1:
-            csv.writer(self.file).writerow(row)
-        csv.writer(self.file).writerow(row.values())
+        with open(self.path, "a", newline="") as file:  # closed at once: a row is on disk before its checkpoint
+            csv.writer(file, lineterminator="\n").writerows(([row] if iteration == 1 else []) + [row.values()])
         left = seconds / new * (self.iterations - iteration) / 60
         line = (
             f"{iteration}/{self.iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
@@ -125,8 +124,8 @@ def prepare(options, given_env, given_learner, argv):
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_config, config = settle_resumed(folder, given_env, given_learner)
-    elif folder.exists() and any(folder.iterdir()):
-        raise ValueError(f"{folder} is not empty: add --resume to continue its run, or choose another --out")
+    elif any((folder / name).exists() and (folder / name).stat().st_size for name in ("checkpoint.npz", "metrics.csv")):
+        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
     eipo.check(config)
     if not options.resume:
         go1_env.check(config.num_envs, env_config, options.threads)
@@ -142,8 +141,8 @@ def save(folder, state, envs):
     run_folder.draw_curves(folder)
 
 
-def train(folder, env_config, config, options, stop):
-    """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until stop() is true."""
+def train(folder, env_config, config, options, asked):
+    """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
     policies = 2 if config.algo == "eipo" else 1
     envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
     env, env_prime = (*envs, None)[:2]
@@ -155,27 +154,38 @@ def train(folder, env_config, config, options, stop):
     for state, metrics in eipo.eipo(env, env_prime, config, resume=first):
         if metrics:
             log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
-        if stop() or state.iteration % options.checkpoint_every == 0 or state.iteration == config.iterations:
+        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == config.iterations:
             save(folder, state, envs)
-        if stop():
+        if asked:
             break
     return state.iteration
+
+
+@contextmanager
+def stop_at_boundary():
+    """Yields a list that is empty until Ctrl-C or SIGTERM asks for a stop; a second Ctrl-C does not wait."""
+    asked = []
+
+    def ask(number, frame):
+        asked.append(number)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main(argv):
     """Parse, train, report. Returns the exit status."""
     given_options, given_env, given_learner = parse(argv)
-    options, stopped = Options(**given_options), []
-
-    def on_signal(number, frame):
-        stopped.append(number)
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a second Ctrl-C does not wait
-
+    options = Options(**given_options)
     try:
         folder, env_config, config = prepare(options, given_env, given_learner, argv)
-        signal.signal(signal.SIGINT, on_signal)
-        signal.signal(signal.SIGTERM, on_signal)
-        done = train(folder, env_config, config, options, lambda: bool(stopped))
+        with stop_at_boundary() as asked:
+            done = train(folder, env_config, config, options, asked)
     except (ValueError, OSError) as error:
         print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

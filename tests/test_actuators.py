@@ -1,0 +1,70 @@
+"""The PD controller of Section IV-C and the torque limits of Section V-D and the URDF, by hand."""
+
+import numpy as np
+import pytest
+
+import actuators
+
+REST = np.zeros(12)
+URDF_TORQUE = [23.7, 23.7, 35.55] * 4  # N m, hip, thigh, calf
+
+
+@pytest.mark.parametrize(
+    ("target", "q", "qd", "torque"),
+    [(0.5, 0.25, 0.0, 5.0), (0.0, 0.0, 2.0, -1.0), (0.5, 0.25, 2.0, 4.0), (-1.0, 0.5, -4.0, -28.0)],
+)
+def test_pd(target, q, qd, torque):
+    """20 (1/2 - 1/4) = 5; -0.5 * 2 = -1; both 4; 20 (-1 - 1/2) + 0.5 * 4 = -28, beyond the limit and not cut here."""
+    assert actuators.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
+
+
+@pytest.mark.parametrize(
+    ("speed", "limit"),
+    [(0, 33.0), (0.5, 16.5), (1, 0.0), (2, 0.0), (-0.5, 16.5), (-1, 0.0), (-2, 0.0)],
+)
+def test_torque_speed_limit(speed, limit):
+    """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed one is -33."""
+    qd = speed * np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF
+    assert actuators.torque_speed_limit(qd) == pytest.approx([limit] * 12, rel=1e-14)
+
+
+def test_torque_speed_limit_takes_the_speed_of_each_joint():
+    """qd = 15 of qd_max = 20, 30 and 60 rad/s: 33/4 = 8.25, 33/2 = 16.5 and 33 * 3/4 = 24.75."""
+    limit = actuators.torque_speed_limit(np.full(3, 15.0), np.array([20.0, 30.0, 60.0]))
+    assert limit.tolist() == [8.25, 16.5, 24.75]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("speed", [0, -1, 3])
+def test_urdf_limit(sign, speed):
+    """By default the URDF's torques hold, both ways and at any speed."""
+    limited = actuators.limit_torque(np.full(12, sign * 100.0), np.full(12, speed * 30.0))
+    assert limited.tolist() == [sign * torque for torque in URDF_TORQUE]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("speed", "hip", "calf"), [(0, 23.7, 33.0), (0.25, 23.7, 24.75), (0.5, 16.5, 16.5), (-0.5, 16.5, 16.5), (2, 0, 0)]
+)
+def test_both_limits(sign, speed, hip, calf):
+    """The smaller one: min(33, 23.7) and min(33, 35.55); 33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33."""
+    qd = speed * np.array([30.1, 30.1, 20.06] * 4)
+    limited = actuators.limit_torque(np.full(12, sign * 100.0), qd, torque_speed=True)
+    assert limited == pytest.approx([sign * hip, sign * hip, sign * calf] * 4, rel=1e-14)
+
+
+@pytest.mark.parametrize("torque_speed", [False, True])
+def test_small_torques_pass(torque_speed):
+    """Below its limits a motor gives what the controller asks for, bit for bit."""
+    torque = np.linspace(-20, 20, 12)
+    assert actuators.limit_torque(torque, REST, torque_speed).tolist() == torque.tolist()
+
+
+def test_leading_shape():
+    """The environments step as one array: an entry of the result must not depend on the others."""
+    target, q, qd = np.random.default_rng(0).normal(size=(3, 2, 5, 12)) * 10
+    torque = actuators.limit_torque(actuators.pd_torque(target, q, qd), qd, torque_speed=True)
+    assert torque.shape == (2, 5, 12)
+    for i in np.ndindex(2, 5):
+        alone = actuators.limit_torque(actuators.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
+        assert torque[i].tolist() == alone.tolist()

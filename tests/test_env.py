@@ -1,0 +1,597 @@
+"""The Go1 as a Markov decision process: what the docstring of go1_env.py and Sections IV-A to IV-C promise.
+
+Two tricks make hand values possible without touching the internals. In free fall, with the joints where the action
+wants them, no motor pulls and nothing moves but the fall itself. And a physics step of a nanosecond keeps any state
+that a test writes still, so that the next observation and cost are of that very state.
+"""
+
+from math import exp, pi
+
+import mujoco
+import numpy as np
+import pytest
+
+import energy
+import go1_env
+from go1_env import Config, Go1Env
+
+NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
+TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)
+UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
+FROZEN = dict(timestep=1e-9)
+TINY = 1e-4  # what moves in some hundred nanoseconds nevertheless: the clock
+ACTION = slice(30, 42)  # the previous action within a frame of 44
+
+
+def make(num_envs=2, threads=1, seed=0, **fields):
+    """A reset environment without noise and with first episodes that start at age 0."""
+    env = Go1Env(num_envs, Config(**(dict(noise=0.0, stagger=False) | fields)), threads)
+    env.reset(seed)
+    return env
+
+
+def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0)):
+    """Write the same state into every environment: joints, trunk pose, world velocity of the trunk."""
+    env.qpos[:, :3], env.qpos[:, 3:7], env.qpos[:, 7:] = [0, 0, height], quaternion, q
+    env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, 0.0, qd
+
+
+def still(env, steps=1):
+    """Step with action 0; the last result."""
+    for _ in range(steps):
+        result = env.step(np.zeros((env.num_envs, 12)))
+    return result
+
+
+def frames(obs):
+    """Observations (N, H * 44) as (N, H, 44)."""
+    return obs.reshape(len(obs), -1, 44)
+
+
+def random_actions(env, steps, seed=0):
+    """(steps, N, 12), of the size of a fresh policy's."""
+    return np.random.default_rng(seed).normal(size=(steps, env.num_envs, 12))
+
+
+def run(env, actions):
+    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit by bit."""
+    seen = []
+    for action in actions:
+        obs, reward, terminated, truncated, info = env.step(action)
+        seen += [obs, reward, terminated, truncated, *info.pop("log").values(), *info.values()]
+    return seen
+
+
+def same_bits(a, b):
+    """Whether two lists of arrays agree in every bit."""
+    return len(a) == len(b) and all(
+        x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in zip(a, b, strict=True)
+    )
+
+
+# ---- the observation ----
+
+
+def table():
+    """The docstring's table of the observation: width per entry; scale and noise per column."""
+    rows = [line.split("|")[1:-1] for line in go1_env.__doc__.splitlines() if line.startswith("|")][2:]
+    widths = [int(row[1]) for row in rows]
+    scales = [[float(x) for x in row[3].split(",")] for row in rows]
+    scales = [scale * (width // len(scale)) for scale, width in zip(scales, widths, strict=True)]
+    noise = np.repeat([float(row[4].split(":")[0]) for row in rows], widths)
+    return widths, np.concatenate(scales), noise
+
+
+def test_observation_widths():
+    """The table that a reader believes is what the code does: 3 + 3 + 12 + 12 + 12 + 2 = 44, five times."""
+    widths, scales, noise = table()
+    assert widths == list(go1_env.FRAME.values()) and sum(widths) == len(scales) == len(noise) == 44
+    obs, _ = (env := Go1Env(3)).reset(0)
+    assert obs.shape == (3, env.obs_size) == (3, 5 * 44) and obs.dtype == np.float32
+
+
+def test_observation_scales():
+    """A state by hand, all numbers different, comes out in the table's order, times the table's scales."""
+    env = make(1, history=1, **FROZEN)
+    q, qd, action = np.arange(12) / 64, np.arange(12) / 2, np.arange(12) / 4
+    place(env, NOMINAL + q, qd, quaternion=(0.5, 0.5, 0.5, 0.5))  # x, y, z of the body point along y, z, x of the world
+    env.command[:] = 0.5, 0.25, 2.0
+    raw = [0, -1, 0, 0.5, 0.25, 2.0, *q, *qd, *action, 0, 1]
+    assert env.step(action[None])[0][0] == pytest.approx(table()[1] * raw, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "gravity"),
+    [
+        (UPRIGHT, (0, 0, -1)),
+        (ON_ITS_BACK, (0, 0, 1)),
+        ((0.5**0.5, 0, 0.5**0.5, 0), (1, 0, 0)),  # pitched by 90 degrees: nose down
+        ((0.5**0.5, 0.5**0.5, 0, 0), (0, -1, 0)),  # rolled by 90 degrees: on the right side, which is -y
+        ((0.5**0.5, 0, 0, 0.5**0.5), (0, 0, -1)),  # yawed: the robot cannot feel that
+    ],
+)
+def test_observation_gravity(quaternion, gravity):
+    """Down, as the robot feels it: a unit vector along whichever body axis points down."""
+    env = make(1, history=1)
+    place(env, quaternion=quaternion)
+    assert still(env)[0][0, :3] == pytest.approx(gravity, abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 2.0])
+def test_observation_noise(factor):
+    """Uniform within +- the table's noise, nearly reached in 300 draws (0.95^300 = 2e-7), and only where it says so."""
+    env = make(1, history=1, noise=factor, **FROZEN)
+    place(env)
+    seen = np.array([still(env)[0][0] for _ in range(300)])
+    _, scales, noise = table()
+    error = seen - scales * [0, 0, -1, *env.command[0], *[0.0] * 37, 1]
+    bound = factor * scales * noise
+    assert (np.abs(error) <= bound + TINY).all()
+    assert (error.max(0) >= 0.9 * bound - TINY).all() and (error.min(0) <= -0.9 * bound + TINY).all()
+
+
+def test_observation_noise_differs():
+    """Each robot, column and frame has its own draw: shared noise would be a signal."""
+    env = make(2, history=1, noise=1.0, **FROZEN)
+    place(env)
+    noisy = np.concatenate([still(env)[0][:, [0, 1, *range(6, 30)]] for _ in range(2)])
+    assert len(np.unique(noisy[:, :2])) == noisy[:, :2].size
+    assert len(np.unique(noisy[:, 2:])) == noisy[:, 2:].size
+
+
+def test_history():
+    """D16, H = 5: after actions 1, 2, 3 the previous actions read 0, 0, 1, 2, 3: filled at reset, oldest first."""
+    env = make()
+    for k in (1, 2, 3):
+        obs, *_ = env.step(np.full((2, 12), float(k)))
+    assert frames(obs)[:, :, ACTION].tolist() == [[[k] * 12 for k in (0.0, 0.0, 1.0, 2.0, 3.0)]] * 2
+
+
+def test_history_after_reset():
+    """A new episode begins with its first frame five times, noise included: nothing of another robot's past."""
+    env = Go1Env(2, threads=1)
+    for obs, _ in (env.reset(0), env.reset(1)):
+        assert (frames(obs) == frames(obs)[:, :1]).all()
+        still(env, 3)
+
+
+def test_timing_reference():
+    """D14: 3 Hz * 20 ms * 25 = 1.5 turns, (sin, cos) = (0, -1); after 50 steps 3 turns, (0, 1)."""
+    env = make(1, history=1)
+    assert still(env, 25)[0][0, 42:] == pytest.approx((0, -1), abs=1e-6)
+    assert still(env, 25)[0][0, 42:] == pytest.approx((0, 1), abs=1e-6)
+
+
+def test_timing_reference_turns_forward():
+    """A clock of 12.5 Hz makes a quarter turn in 20 ms: (0, 1) at reset, then (1, 0), (0, -1), (-1, 0)."""
+    obs, *_ = still(make(1, history=4, clock_hz=12.5), 3)
+    assert frames(obs)[0, :, 42:] == pytest.approx(np.array([[0, 1], [1, 0], [0, -1], [-1, 0]]), abs=1e-6)
+
+
+def test_observations_are_copies():
+    """A rollout stores what step returns: the next step must not write over it."""
+    env = make(3, episode_steps=2)
+    first = run(env, random_actions(env, 1))
+    kept = [x.copy() for x in first]
+    run(env, random_actions(env, 4, seed=1))
+    assert same_bits(first, kept)
+
+
+# ---- physics, reward and cost ----
+
+
+def test_standing():
+    """Action 0 is a stance: from a random pose the PD controller stands up and stays up for 20 s."""
+    env = make(4, friction=(0.8, 0.8), payload=(0.0, 0.0))
+    for _ in range(999):
+        _, _, terminated, truncated, _ = still(env)
+        assert not terminated.any() and not truncated.any()
+    assert (env.qpos[:, 2] > 0.2).all() and np.abs(env.qvel).max() < 0.05
+    assert still(env)[3].all()
+
+
+def test_action_is_an_offset_from_the_nominal_pose():
+    """Action 2: hips 0.25 * 0.5 * 2 = 0.25, others 0.25 * 2 = 0.5 rad. A robot there needs no torque: 42 - 200."""
+    env = make(1)
+    place(env, NOMINAL + np.tile([0.25, 0.5, 0.5], 4))
+    assert env.step(np.full((1, 12), 2.0))[4]["cost"] == pytest.approx([-158.0], abs=1e-9)
+
+
+def test_action_is_clipped():
+    """At +-10, and the robot is told what was applied, not what it asked for."""
+    env = make(1, history=1)
+    obs, *_ = env.step(np.array([[1e6, -1e6] * 6]))
+    assert obs[0, ACTION].tolist() == [10.0, -10.0] * 6
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [((1, 0, 0), 1.5), ((2, 0, 0), exp(-4) + 0.5), ((0.5, 0, 0), 1.5), ((1, 0.5, 0.5), exp(-1) + 0.5 * exp(-1))],
+)
+def test_reward_is_eq05_unscaled_in_the_body_frame(command, expected):
+    """Turned by 90 degrees, 1 m/s along the world's y is 1 m/s forward. D10: 1.5 for a met command, not 0.02 * 1.5."""
+    env = make()
+    place(env, quaternion=(0.5**0.5, 0, 0, 0.5**0.5), velocity=(0, 1, 0))
+    env.command[:] = command
+    _, reward, _, _, info = still(env)
+    assert reward == pytest.approx([expected] * 2, abs=1e-9)
+    assert info["privileged"] == pytest.approx(np.array([[1.0, 0.0, -9.81 * 0.02]] * 2), abs=1e-9)
+
+
+@pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
+def test_eq09_cost_of_a_step(clip, expected):
+    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 + 42 - 200."""
+    env = make(1, clip=clip, **FROZEN)
+    place(env, qd=[8.0] + [0.0] * 11)
+    _, _, _, _, info = still(env)
+    assert info["cost"] == pytest.approx([expected], abs=1e-3)
+    assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
+
+
+def test_batch_equals_a_plain_mujoco_loop():
+    """The batch is no other simulator: one MjModel per robot, PD by hand before each mj_step, the same bits.
+
+    D17: the cost is the mean of Eq. (9) over the four physics steps. The models get the robots' friction and mass.
+    """
+    env = make(3)
+    actions = random_actions(env, 12)
+    models = [mujoco.MjModel.from_xml_path(str(go1_env.MODEL)) for _ in range(3)]
+    robots = [mujoco.MjData(model) for model in models]
+    for i, (model, robot) in enumerate(zip(models, robots, strict=True)):
+        model.geom_friction[:], model.body_mass[:] = env.friction[i], env.mass[i]
+        mujoco.mj_setConst(model, robot)
+        robot.qpos[:], robot.qvel[:] = env.qpos[i], env.qvel[i]
+    for action in actions:
+        costs = [plain_step(*pair) for pair in zip(models, robots, action, strict=True)]
+        _, _, terminated, _, info = env.step(action)
+        assert not terminated.any()  # else the comparison would end here
+        assert info["cost"] == pytest.approx(costs, rel=1e-12)
+        assert [x.tobytes() for x in env.qpos] == [robot.qpos.tobytes() for robot in robots]
+        assert [x.tobytes() for x in env.qvel] == [robot.qvel.tobytes() for robot in robots]
+
+
+def plain_step(model, robot, action):
+    """One control step of one robot, without any of go1_env.py; its mean cost."""
+    target, costs = NOMINAL + 0.25 * np.tile([0.5, 1.0, 1.0], 4) * action, []
+    for _ in range(4):
+        q, qd = robot.qpos[7:], robot.qvel[6:]
+        robot.ctrl[:] = np.clip(20 * (target - q) - 0.5 * qd, -TORQUE_LIMIT, TORQUE_LIMIT)
+        costs.append(energy.energy_cost(robot.ctrl, qd))
+        mujoco.mj_step(model, robot)
+    return np.mean(costs)
+
+
+# ---- the end of an episode ----
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "height", "thigh", "terminates"),
+    [(ON_ITS_BACK, 0.056, 0.8, True), (UPRIGHT, 0.056, 3.0, True), (ON_ITS_SIDE, 0.14, 0.8, False)],
+    ids=["back", "belly, legs up", "side, on the hips"],
+)
+def test_trunk_contact_terminates(quaternion, height, thigh, terminates):
+    """D13: the trunk's half height is 0.057 m; 1 mm into the ground ends the episode, other parts do not."""
+    env = make()
+    place(env, np.tile([0.0, thigh, -1.5], 4), height=height, quaternion=quaternion)
+    _, _, terminated, truncated, info = still(env)
+    assert terminated.tolist() == info["log"]["ended_trunk"].tolist() == [terminates] * 2
+    assert not truncated.any() and not info["log"]["ended_diverged"].any()
+
+
+def test_terminated_and_truncated_exclude_each_other():
+    """A robot that falls on its very last step has fallen: a bootstrap would credit it with a future."""
+    env = make(episode_steps=1)
+    place(env, height=0.056, quaternion=ON_ITS_BACK)
+    env.qpos[1, 2] = 1.0  # the other one is in the air
+    _, _, terminated, truncated, _ = still(env)
+    assert (terminated.tolist(), truncated.tolist()) == ([True, False], [False, True])
+
+
+def test_final_obs_at_a_time_limit():
+    """H = 5, 3 steps with actions 1, 2, 3: final_obs remembers 0, 0, 1, 2, 3, obs the new episode's first frame alone.
+
+    The most reported bug in the field: bootstrapping from obs would take the next episode's start for this one's end.
+    """
+    env = make(episode_steps=3)
+    for k in (1, 2, 3):
+        obs, _, _, truncated, info = env.step(np.full((2, 12), float(k)))
+        assert truncated.tolist() == info["log"]["ended_limit"].tolist() == [k == 3] * 2
+    assert frames(info["final_obs"])[:, :, 30].tolist() == [[0, 0, 1, 2, 3]] * 2
+    assert (frames(obs) == frames(obs)[:, :1]).all() and not frames(obs)[:, :, ACTION].any()
+
+
+def test_final_obs_is_of_the_old_pose():
+    """Upside down in the air at the time limit: final gravity +1 and fall 0.1962 m/s; upright in the new episode."""
+    env = make(episode_steps=1)
+    place(env, quaternion=ON_ITS_BACK)
+    obs, _, _, _, info = still(env)
+    assert frames(info["final_obs"])[:, -1, 2] == pytest.approx([1.0] * 2)
+    assert info["final_privileged"] == pytest.approx(np.array([[0.0, 0.0, 9.81 * 0.02]] * 2), abs=1e-9)
+    assert frames(obs)[:, -1, 2] == pytest.approx([-1.0] * 2)
+    assert np.abs(info["privileged"][:, 2]).max() <= 0.5 and (info["privileged"] != info["final_privileged"]).all()
+
+
+def test_final_obs_is_obs_where_no_episode_ended():
+    """So that a learner may use final_obs everywhere."""
+    obs, _, _, _, info = still(make(noise=1.0), 3)
+    assert same_bits([info["final_obs"], info["final_privileged"]], [obs, info["privileged"]])
+
+
+def test_autoreset_leaves_the_others_alone():
+    """Robot 1 of 3 reaches its time limit: the others go on, bit for bit, as in a world where it did not."""
+    env, twin = make(3), make(3)
+    actions, others = random_actions(env, 6), [0, 2]
+    run(env, actions[:2]), run(twin, actions[:2])
+    env.age[1] = 999
+    for action in actions[2:]:
+        ours, theirs = env.step(action), twin.step(action)
+        assert same_bits([x[others] for x in ours[:4]], [x[others] for x in theirs[:4]])
+    assert env.age.tolist() == [6, 3, 6]
+    assert not np.isclose(env.qpos[1], twin.qpos[1]).all()
+
+
+def test_first_episodes_are_staggered():
+    """16 robots end their first episodes of 8 steps at several times, each once: no wave of simultaneous resets."""
+    env = make(16, stagger=True, episode_steps=8)
+    ends = np.array([still(env)[3] for _ in range(8)])
+    assert ends.sum(0).tolist() == [1] * 16 and (ends.sum(1) > 0).sum() >= 4
+
+
+def test_staggered_clock_is_seen():
+    """The first observation of a staggered episode shows its age: not all clocks stand at 0."""
+    obs, _ = Go1Env(16, threads=1).reset(0)
+    assert len(np.unique(obs[:, -1])) >= 4
+
+
+# ---- what an episode draws ----
+
+
+def test_commands():
+    """IV-A.1: v_x from [0, 1] m/s, all of it, and no command of v_y and of the yaw rate; drawn anew at every reset."""
+    obs, _ = Go1Env(256, Config(stagger=False), threads=1).reset(0)
+    v_x = frames(obs)[:, -1, 3] / 2  # scale 2
+    assert 0 <= v_x.min() < 0.05 and 0.95 < v_x.max() <= 1
+    assert len(np.unique(v_x)) > 250
+    assert not frames(obs)[:, :, 4:6].any()
+
+
+def test_commands_change():
+    """command_steps = 3: steps 1 to 3 are rewarded by the first command, 4 to 6 by the next; obs shows it in time."""
+    env = make(2, command_steps=3)
+    told = [frames(env.reset(0)[0])[:, -1, 3] / 2]
+    obeyed = []
+    for _ in range(6):
+        obs, _, _, _, info = still(env)
+        told.append(frames(obs)[:, -1, 3] / 2)
+        obeyed.append(info["log"]["command_x"])
+    assert np.array(told[:6]) == pytest.approx(np.array(obeyed), abs=1e-6)
+    changes = (np.diff(np.array(told), axis=0) != 0).tolist()
+    assert changes == [[False] * 2, [False] * 2, [True] * 2] * 2
+
+
+def test_reset_pose():
+    """[lab code]: joints at 0.5 to 1.5 times nominal, within the URDF's range; trunk +- 0.5 m/s and rad/s; any yaw."""
+    env = make(64)
+    low, high = np.tile([[-0.863, -0.686, -2.818], [0.863, 4.501, -0.888]], 4)
+    q = env.qpos[:, 7:]
+    assert (low <= q).all() and (q <= high).all() and not env.qvel[:, 6:].any()
+    assert (q / NOMINAL >= 0.5).all() and (q / NOMINAL <= 1.5).all() and (q / NOMINAL).std() > 0.2
+    assert 0.4 < np.abs(env.qvel[:, :6]).max() <= 0.5 and len(np.unique(env.qvel[:, :6])) == 64 * 6
+    assert not env.qpos[:, [0, 1, 4, 5]].any() and env.qpos[:, 6].min() < -0.9 and env.qpos[:, 6].max() > 0.9
+
+
+def test_reset_tells_the_velocity():
+    """The critic and the estimator start from the truth: a robot that is merely turned keeps its vertical velocity."""
+    env = Go1Env(4, threads=1)
+    _, info = env.reset(0)
+    assert info["privileged"][:, 2] == pytest.approx(env.qvel[:, 2])
+    assert np.hypot(*info["privileged"].T[:2]) == pytest.approx(np.hypot(*env.qvel.T[:2]))
+    assert not np.isclose(info["privileged"][:, 0], env.qvel[:, 0]).any()
+
+
+def test_reset_puts_the_lowest_foot_on_the_ground():
+    """By MuJoCo's own kinematics: no robot starts under the ground, where contact would throw it up, or falls first."""
+    env = make(8)
+    for qpos in env.qpos:
+        assert soles(qpos).min() == pytest.approx(0.0, abs=1e-12)
+
+
+def physical(env):
+    """What an episode draws of the physics: friction of the four feet (N, 4), payload [kg] (N,)."""
+    model = mujoco.MjModel.from_xml_path(str(go1_env.MODEL))
+    feet = [model.geom(f"{leg}_foot").id for leg in ("FR", "FL", "RR", "RL")]
+    others = [i for i in range(model.nbody) if model.body(i).name != "trunk"]
+    assert (env.mass[:, others] == model.body_mass[others]).all()
+    return env.friction[:, feet, 0].copy(), env.mass[:, model.body("trunk").id] - 5.560
+
+
+def test_friction_and_payload_are_in_range():
+    """Feet alike in one episode, 0.5 to 1.25, trunk +- 1 kg, and the robots differ."""
+    friction, payload = physical(make(64))
+    assert (friction == friction[:, :1]).all() and len(np.unique(friction)) == len(np.unique(payload)) == 64
+    assert 0.5 <= friction.min() < 0.55 and 1.2 < friction.max() <= 1.25
+    assert -1 <= payload.min() < -0.9 and 0.9 < payload.max() <= 1
+
+
+def test_friction_and_payload_last_one_episode():
+    """Robot 0 ends its episode at step 2 and gets a new ground and load, robot 1 keeps its own."""
+    env = make(episode_steps=4)
+    env.age[0] = 2
+    before = physical(env)
+    still(env)
+    assert same_bits(before, physical(env))
+    assert still(env)[3].tolist() == [True, False]
+    assert [(a != b).ravel().tolist() for a, b in zip(before, physical(env), strict=True)] == [
+        [True] * 4 + [False] * 4,
+        [True, False],
+    ]
+
+
+# ---- the same bits ----
+
+
+@pytest.mark.parametrize("threads", [2, 0])
+def test_threads_do_not_change_the_bits(threads):
+    """A laptop and a server train the same policy. Crosses resets and draws of commands."""
+    one, many = (make(5, threads=n, stagger=True, noise=1.0, episode_steps=5) for n in (1, threads))
+    assert same_bits(run(one, random_actions(one, 8)), run(many, random_actions(many, 8)))
+
+
+def test_seeds():
+    """Same seed, same bits, in a new environment and in a used one; another seed, another world."""
+    env, used, other = (make(3, seed=seed, noise=1.0) for seed in (7, 1, 8))
+    still(used, 3)
+    used.reset(np.random.SeedSequence(7))
+    env.reset(np.random.SeedSequence(7))
+    actions = random_actions(env, 4)
+    ours = run(env, actions)
+    assert same_bits(ours, run(used, actions)) and not same_bits(ours, run(other, actions))
+
+
+def test_state_continues_with_the_same_bits(tmp_path):
+    """Resume is exact: through a file without pickles, into a fresh object, over resets and new commands."""
+    env = make(3, stagger=True, noise=1.0, episode_steps=6, command_steps=4)
+    actions = random_actions(env, 12)
+    run(env, actions[:3])
+    np.savez(tmp_path / "state.npz", **env.state())
+    fresh = Go1Env(3, env.config, threads=2)
+    with np.load(tmp_path / "state.npz", allow_pickle=False) as state:
+        fresh.load(state)
+    assert same_bits(run(env, actions[3:]), run(fresh, actions[3:]))
+
+
+def test_state_is_a_copy():
+    """A checkpoint in memory must not move on with the simulation."""
+    env = make()
+    state = env.state()
+    kept = [x.copy() for x in state.values()]
+    still(env, 3)
+    assert same_bits(list(state.values()), kept)
+
+
+# ---- a simulation that blows up ----
+
+
+def poison_velocity(env, action):
+    """What a diverging contact leaves behind."""
+    env.qvel[1, 8] = np.nan
+
+
+def poison_position(env, action):
+    """A robot that has left for infinity."""
+    env.qpos[1, 0] = np.inf
+
+
+def poison_action(env, action):
+    """What a diverging policy asks for."""
+    action[1, 3] = np.nan
+
+
+POISONS = pytest.mark.parametrize("poison", [poison_velocity, poison_position, poison_action])
+
+
+@POISONS
+def test_divergence_resets_one_robot(poison):
+    """Robot 1 of 3 is lost, says so, and earns 0 at a cost of 0; what the learner gets is finite."""
+    env = make(3)
+    poison(env, action := np.zeros((3, 12)))
+    obs, reward, terminated, truncated, info = env.step(action)
+    assert terminated.tolist() == info["log"]["ended_diverged"].tolist() == [False, True, False]
+    assert not truncated.any() and not info["log"]["ended_trunk"].any()
+    assert all(np.isfinite(x).all() for x in (obs, reward, info["cost"], info["privileged"], info["log"]["power"]))
+    assert (reward[1], info["cost"][1]) == (0.0, 0.0)
+    assert env.age.tolist() == [1, 0, 1] and (frames(obs)[1] == frames(obs)[1, 0]).all()
+
+
+@POISONS
+def test_divergence_leaves_the_others_alone(poison):
+    """The other robots have the same bits, now and later, as in a world without the poison; robot 1 lives on."""
+    env, twin = make(3), make(3)
+    poison(env, action := np.zeros((3, 12)))
+    for step in range(4):
+        ours, theirs = env.step(action if step == 0 else np.zeros((3, 12))), still(twin)
+        assert ours[2].tolist() == [False, step == 0, False]
+        for a, b in zip((*ours[:4], ours[4]["cost"]), (*theirs[:4], theirs[4]["cost"]), strict=True):
+            assert a[[0, 2]].tobytes() == b[[0, 2]].tobytes() and np.isfinite(a).all()
+
+
+def test_no_litter(tmp_path, monkeypatch):
+    """MuJoCo writes MUJOCO_LOG.TXT into the working folder at a warning: a user's folder stays clean."""
+    monkeypatch.chdir(tmp_path)
+    env = make()
+    env.qvel[1, 8] = np.nan
+    assert still(env)[4]["log"]["ended_diverged"].any()
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- kinematics and configuration ----
+
+
+def soles(qpos):
+    """Height of the four soles [m] at qpos, by MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(str(go1_env.MODEL))
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return np.array([data.geom(f"{leg}_foot").xpos[2] for leg in ("FR", "FL", "RR", "RL")]) - 0.02
+
+
+@pytest.mark.parametrize(
+    ("hip", "thigh", "calf", "right", "left"),
+    [
+        (0, 0, 0, -0.446, -0.446),  # straight: -0.213 - 0.213 - 0.02
+        (0, pi / 2, -pi / 2, -0.233, -0.233),  # thigh horizontal, calf down: -0.213 - 0.02
+        (0, pi / 3, -2 * pi / 3, -0.233, -0.233),  # -0.213 (1/2 + 1/2) - 0.02
+        (pi / 2, 0, 0, -0.1, 0.06),  # legs out to the left: the hip's 0.08 is down on the right, up on the left
+    ],
+)
+def test_foot_heights_by_hand(hip, thigh, calf, right, left):
+    """Links of 0.213 m, 0.08 m from hip to thigh, soles of 0.02 m; order FR, FL, RR, RL."""
+    heights = go1_env.foot_heights(np.tile([hip, thigh, calf], 4).astype(float))
+    assert heights == pytest.approx([right, left, right, left], abs=1e-12)
+
+
+def test_foot_heights_are_those_of_the_model():
+    """The formula and go1.xml are the same robot: twelve joint angles at random, any leading shape."""
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
+    heights = go1_env.foot_heights(q)
+    assert heights.shape == (2, 3, 4)
+    for i in np.ndindex(2, 3):
+        assert heights[i] == pytest.approx(soles([0, 0, 0, 1, 0, 0, 0, *q[i]]), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (dict(task="hover"), ["task", "hover"]),
+        (dict(num_envs=0), ["num_envs", "0"]),
+        (dict(threads=-1), ["threads", "-1"]),
+        (dict(history=0), ["history", "0"]),
+        (dict(episode_steps=-5), ["episode_steps", "-5"]),
+        (dict(command_steps=0), ["command_steps", "0"]),
+        (dict(physics_steps=0), ["physics_steps", "0"]),
+        (dict(timestep=0.0), ["timestep", "0.0"]),
+        (dict(clock_hz=float("inf")), ["clock_hz", "inf"]),
+        (dict(action_limit=-10.0), ["action_limit", "-10.0"]),
+        (dict(noise=float("nan")), ["noise", "nan"]),
+        (dict(clip="speed"), ["clip", "speed"]),
+        (dict(friction=(1.25, 0.5)), ["friction", "1.25", "0.5"]),
+        (dict(friction=(0.5, float("inf"))), ["friction", "0.5", "inf"]),
+        (dict(friction=(-0.5, 0.5)), ["friction"]),
+        (dict(payload=(float("nan"), 1.0)), ["payload", "nan", "1.0"]),
+        (dict(payload=(-6.0, 0.0)), ["trunk"]),  # no mass would be left
+    ],
+    ids=str,
+)
+def test_bad_config(arguments, named):
+    """One line that names the field and its value: a typo on the command line is found by reading the message."""
+    around = {name: arguments.pop(name) for name in ("num_envs", "threads") if name in arguments}
+    with pytest.raises(ValueError) as error:
+        Go1Env(**(dict(num_envs=1) | around), config=Config(**arguments))
+    assert "\n" not in (message := str(error.value)) and all(part in message for part in named)
+
+
+@pytest.mark.parametrize("fields", [dict(stagger=False), dict(noise=0.0), dict(clock_hz=0.0), dict(payload=(0.0, 0.0))])
+def test_good_config(fields):
+    """The values that switch something off are no mistakes."""
+    Go1Env(1, Config(**fields))

@@ -1,0 +1,106 @@
+"""go1.xml against Unitree's published numbers, and against what the Python side takes for granted."""
+
+import itertools
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+MODEL = Path(__file__).parents[1] / "go1.xml"
+LEGS = ["FR", "FL", "RR", "RL"]
+JOINTS = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
+
+
+@pytest.fixture
+def model():
+    """The robot on its floor."""
+    return mujoco.MjModel.from_xml_path(str(MODEL))
+
+
+def names(model, kind, count):
+    """What MuJoCo calls its `count` objects of a kind, in order; None for a nameless one."""
+    return [mujoco.mj_id2name(model, kind, i) for i in range(count)]
+
+
+def test_mass(model):
+    """5.560 + 4 (0.680 + 1.009 + 0.195862) = 13.099448 kg: the URDF's links, their 12 rotors included."""
+    assert model.body_mass.sum() == pytest.approx(13.1, abs=1e-2)
+
+
+def test_joint_order(model):
+    """A free trunk, then FR, FL, RR, RL x hip, thigh, calf: actions and observations are laid out so."""
+    assert names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt) == ["root", *(f"{name}_joint" for name in JOINTS)]
+    assert model.jnt_qposadr[1:].tolist() == list(range(7, 19))
+    assert model.jnt_dofadr[1:].tolist() == list(range(6, 18))
+
+
+def test_motor_order(model):
+    """Motor i turns joint i with gear 1, so that ctrl is the joint torque of Eq. (9), unlimited by MuJoCo."""
+    assert names(model, mujoco.mjtObj.mjOBJ_ACTUATOR, model.nu) == JOINTS
+    assert model.actuator_trnid[:, 0].tolist() == list(range(1, 13))
+    assert model.actuator_gear[:, 0].tolist() == [1.0] * 12
+    assert not model.actuator_ctrllimited.any() and not model.actuator_forcelimited.any()
+
+
+def test_joint_limits(model):
+    """The URDF's, on all four legs, and in force."""
+    assert model.jnt_range[1:].tolist() == [[-0.863, 0.863], [-0.686, 4.501], [-2.818, -0.888]] * 4
+    assert model.jnt_limited[1:].all()
+
+
+def test_armature(model):
+    """1.118e-4 * 6.33^2 = 0.00448 and, calf, 1.118e-4 * (6.33 * 1.5)^2 = 0.01008 kg m^2; no other joint losses."""
+    assert model.dof_armature[6:] == pytest.approx([0.00448, 0.00448, 0.01008] * 4, rel=0.01)
+    assert not model.dof_damping.any() and not model.dof_frictionloss.any()
+
+
+def test_collisions(model):
+    """The trunk and each leg's hip, thigh, calf and foot, 1 + 4 * 4 = 17, meet the floor, and nothing else meets."""
+    ctype, caffinity = model.geom_contype, model.geom_conaffinity
+    pairs = itertools.combinations(range(model.ngeom), 2)
+    meeting = [(i, j) for i, j in pairs if ctype[i] & caffinity[j] or ctype[j] & caffinity[i]]
+    touching = ["trunk", *(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf", "foot"))]
+    assert [(model.geom(i).name, model.geom(j).name) for i, j in meeting] == [("floor", name) for name in touching]
+
+
+def test_contact_dimensions(model):
+    """Feet grip (3, one normal and two tangents); the rest, which should not touch, is cheap and slides (1)."""
+    names_of = names(model, mujoco.mjtObj.mjOBJ_GEOM, model.ngeom)
+    feet = [bool(name) and name.endswith("_foot") for name in names_of]
+    assert model.geom_condim.tolist() == [3 if foot else 1 for foot in feet]
+    assert sum(feet) == 4
+
+
+def test_contact_with_the_floor_has_the_friction_of_the_foot(model):
+    """The environment randomises the feet's friction: the floor's must not win over it."""
+    data = mujoco.MjData(model)
+    model.geom_friction[[model.geom(f"{leg}_foot").id for leg in LEGS], 0] = 0.625
+    data.qpos[2] = 0.44  # legs straight, soles 6 mm under the floor
+    mujoco.mj_forward(model, data)
+    feet = [contact for contact in data.contact if contact.dim == 3]
+    assert [contact.friction[0] for contact in feet] == [0.625] * 4
+
+
+@pytest.mark.parametrize(
+    ("height", "quaternion", "trunk", "foot"),
+    [(0.47, (1, 0, 0, 0), 0, 0), (0.44, (1, 0, 0, 0), 0, 1), (0.05, (1, 0, 0, 0), 1, 1), (0.05, (0, 1, 0, 0), 1, 0)],
+    ids=["in the air", "standing", "belly", "back"],
+)
+def test_contact_sensors(model, height, quaternion, trunk, foot):
+    """Straight legs reach 2 * 0.213 + 0.02 = 0.446 m down, the trunk 0.057 m: D13 ends an episode by this sensor."""
+    data = mujoco.MjData(model)
+    data.qpos[2], data.qpos[3:7] = height, quaternion
+    mujoco.mj_forward(model, data)
+    found = [float(data.sensor(f"{name}_contact").data[0]) for name in ("trunk", *(f"{leg}_foot" for leg in LEGS))]
+    assert (np.array(found) > 0).tolist() == [bool(trunk), *[bool(foot)] * 4]
+
+
+def test_home(model):
+    """The keyframe for the viewer: the nominal pose, its front soles on the floor."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    assert data.qpos[7:].tolist() == [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
+    soles = [data.geom(f"{leg}_foot").xpos[2] - 0.02 for leg in LEGS]
+    assert min(soles) == pytest.approx(0.0, abs=1e-3)

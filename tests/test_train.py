@@ -1,0 +1,214 @@
+"""The command line and the run folder: whatever stops a run, its numbers come out the same."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import evaluate
+import run_folder
+import train
+
+ROOT = Path(train.__file__).parent
+TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estimator", "8", "--history", "2",
+        "--checkpoint-every", "2"]  # fmt: skip
+
+
+def run(*flags):
+    """Train in this process; returns the exit status. Two iterations unless told otherwise."""
+    return train.main([*TINY, "--iterations", "2", *map(str, flags)])
+
+
+def error_of(capsys, *flags):
+    """The one line that a failing command prints."""
+    assert run(*flags) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("train.py: ")
+    return line
+
+
+def rows(folder):
+    """metrics.csv without the columns that hold clock time."""
+    lines = [line.split(",") for line in (folder / "metrics.csv").read_text().splitlines()]
+    keep = [i for i, name in enumerate(lines[0]) if "time" not in name and "per_s" not in name]
+    return [[line[i] for i in keep] for line in lines]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of 40 iterations that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    assert run("--iterations", 40, "--out", folder) == 0
+    return folder
+
+
+def start_and_wait(folder, iterations=40, until=5):
+    """Start the same run as a process of its own; returns it when metrics.csv holds `until` iterations."""
+    flags = [*TINY, "--iterations", str(iterations), "--out", str(folder)]
+    process = subprocess.Popen([sys.executable, ROOT / "train.py", *flags], stdout=subprocess.PIPE, text=True)
+    metrics = folder / "metrics.csv"
+    while not metrics.exists() or metrics.read_text().count("\n") < until + 1:
+        assert process.poll() is None, "the run ended before it could be stopped"
+        time.sleep(0.002)
+    return process
+
+
+def test_two_iterations_fill_the_run_folder(tmp_path):
+    """`python train.py` from another folder, as a user would: every promised file is there and says what it should."""
+    command = [sys.executable, ROOT / "train.py", *TINY, "--task", "flat", "--iterations", "2", "--out", "mine"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    names = {"config.json", "metrics.csv", "checkpoint.npz", "policy.npz", "curves.png"}
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == names
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+    assert [row[0] for row in rows(tmp_path / "mine")] == ["iteration", "1", "2"]
+    record = json.loads((tmp_path / "mine" / "config.json").read_text())
+    assert (record["learner"]["iterations"], record["learner"]["lam"], record["env"]["history"]) == (2, 0.005, 2)
+    assert "--iterations 2" in record["command"] and record["versions"]["mujoco"]
+
+
+def test_equal_seeds_equal_runs(finished, tmp_path):
+    assert run("--iterations", 40, "--out", tmp_path) == 0
+    assert rows(tmp_path) == rows(finished)
+    assert run("--iterations", 3, "--seed", 1, "--out", tmp_path / "other") == 0
+    assert rows(tmp_path / "other")[3] != rows(finished)[3]
+
+
+def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_path):
+    process = start_and_wait(tmp_path)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert run("--iterations", 40, "--out", tmp_path, "--resume") == 0
+    assert rows(tmp_path) == rows(finished)
+
+
+def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
+    process = start_and_wait(tmp_path)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate()[0].splitlines()[-1]
+    assert process.returncode == 130
+    saved = len(rows(tmp_path)) - 1
+    assert 5 <= saved < 40 and f"iteration {saved}." in said
+    assert train.main(shlex.split(said.split("python train.py ")[1])) == 0
+    assert rows(tmp_path) == rows(finished)
+
+
+@pytest.mark.parametrize(
+    "flags", [["--algo", "ppo"], ["--algo", "ppo", "--lam", "0"], ["--lam", "0.02", "--clip", "power"]]
+)
+def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
+    assert run(*flags, "--iterations", 6, "--out", tmp_path / "long") == 0
+    assert run(*flags, "--iterations", 3, "--out", tmp_path / "short") == 0
+    assert train.main(["--out", str(tmp_path / "short"), "--resume", "--iterations", "6"]) == 0
+    assert rows(tmp_path / "short") == rows(tmp_path / "long")
+
+
+def test_threads_do_not_change_the_numbers(finished, tmp_path):
+    assert run("--iterations", 3, "--threads", 2, "--out", tmp_path) == 0
+    assert rows(tmp_path) == rows(finished)[:4]
+
+
+@pytest.mark.parametrize(
+    "flags, says",
+    [
+        (["--task", "moon"], "moon"),
+        (["--algo", "sac"], "sac"),
+        (["--num-envs", "-4"], "num_envs"),
+        (["--num-envs", "3"], "even"),
+        (["--iterations", "0"], "iterations"),
+        (["--checkpoint-every", "0"], "checkpoint_every"),
+        (["--threads", "-1"], "threads"),
+        (["--seed", "-1"], "seed"),
+        (["--lam", "nan"], "lam"),
+        (["--lam", "-0.1"], "lam"),
+        (["--lam", "0"], "lam"),
+        (["--lr", "inf"], "lr"),
+        (["--history", "0"], "history"),
+        (["--hidden", "0"], "hidden"),
+        (["--clip", "voltage"], "voltage"),
+        (["--friction", "1", "0"], "friction"),
+        (["--payload", "nan", "1"], "payload"),
+        (["--friction", "1"], "friction"),
+        (["--timestep", "0"], "timestep"),
+        (["--noise", "nan"], "noise"),
+    ],
+)
+def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, flags, says):
+    assert says in error_of(capsys, *flags, "--out", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_is_never_overwritten(finished, capsys):
+    before = {path.name: path.read_bytes() for path in finished.iterdir()}
+    assert "--resume" in error_of(capsys, "--iterations", 40, "--out", finished)
+    assert {path.name: path.read_bytes() for path in finished.iterdir()} == before
+
+
+@pytest.mark.parametrize("flags, says", [(["--lr", 0.1], "--lr"), (["--iterations", 4], "--iterations"),
+                                         (["--seed", 3], "--seed"), (["--noise", 0.5], "--noise")])  # fmt: skip
+def test_a_resumed_run_keeps_its_settings(finished, capsys, flags, says):
+    assert says in error_of(capsys, "--out", finished, "--resume", *flags)
+
+
+def damage(kind, folder):
+    checkpoint = folder / "checkpoint.npz"
+    if kind == "missing":
+        checkpoint.unlink()
+    elif kind == "truncated":
+        checkpoint.write_bytes(checkpoint.read_bytes()[:-1000])
+    elif kind == "empty":
+        checkpoint.write_bytes(b"")
+    elif kind == "not an archive":
+        checkpoint.write_text("hello")
+    elif kind == "of another program":
+        np.savez(checkpoint, weights=np.ones(3))
+    elif kind == "of another network":
+        arrays = run_folder.read_npz(checkpoint)
+        wrong = next(name for name in arrays if "actor" in name)
+        np.savez(checkpoint, **arrays | {wrong: np.ones((2, 2))})
+    elif kind == "config damaged":
+        (folder / "config.json").write_text("{")
+    elif kind == "config missing":
+        (folder / "config.json").unlink()
+
+
+@pytest.mark.parametrize("kind", ["missing", "truncated", "empty", "not an archive", "of another program",
+                                  "of another network", "config damaged", "config missing"])  # fmt: skip
+def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, kind):
+    assert run("--iterations", 2, "--out", tmp_path) == 0
+    damage(kind, tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert str(tmp_path) in error_of(capsys, "--out", tmp_path, "--resume")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_unwritable_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    assert "file" in error_of(capsys, "--out", tmp_path / "file" / "run")
+
+
+def test_a_crash_while_writing_keeps_the_old_file(tmp_path, monkeypatch):
+    run_folder.write_npz(tmp_path / "a.npz", dict(x=np.ones(2)))
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        run_folder.write_npz(tmp_path / "a.npz", dict(x=np.zeros(2)))
+    assert run_folder.read_npz(tmp_path / "a.npz")["x"].tolist() == [1.0, 1.0]
+
+
+def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys, monkeypatch):
+    """20 steps instead of 1000 would be another metric, so the episodes are shortened in the policy's own config."""
+    params, config = run_folder.load_policy(finished / "policy.npz")
+    assert config.history == 2 and params["actor"]["layers"][0][0].shape == (91, 8)
+    assert evaluate.main([str(finished), "--episodes", "2"]) == 0
+    header, _, row = capsys.readouterr().out.splitlines()
+    assert header.count("|") == row.count("|") == 7 and 0 < float(row.split("|")[2]) < 1.5
+    assert evaluate.main([str(tmp_path)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
