@@ -585,9 +585,10 @@ def test_foot_heights_are_those_of_the_model():
 )
 def test_bad_config(arguments, named):
     """One line that names the field and its value: a typo on the command line is found by reading the message."""
-    around = {name: arguments.pop(name) for name in ("num_envs", "threads") if name in arguments}
+    counts = dict(num_envs=1, threads=1)
+    fields = {name: value for name, value in arguments.items() if name not in counts}
     with pytest.raises(ValueError) as error:
-        Go1Env(**(dict(num_envs=1) | around), config=Config(**arguments))
+        Go1Env(config=Config(**fields), **{name: arguments.get(name, count) for name, count in counts.items()})
     assert "\n" not in (message := str(error.value)) and all(part in message for part in named)
 
 

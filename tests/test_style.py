@@ -1,0 +1,135 @@
+"""The promises of the layout: sizes, imports, tags, and a README whose table is true."""
+
+import ast
+import inspect
+import re
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+import eipo
+import go1_env
+import train
+
+ROOT = Path(train.__file__).parent
+MODULES = sorted(path.stem for path in ROOT.glob("*.py"))
+# imports go down this list, never up; the second entry is what else a module may import beyond the standard library
+LAYERS = {
+    "energy": {"numpy"},
+    "rewards": {"numpy"},
+    "actuators": {"numpy"},
+    "go1_env": {"numpy", "mujoco", "scipy"},
+    "eipo": {"numpy", "jax", "optax"},
+    "run_folder": {"numpy", "jax", "matplotlib"},
+    "train": set(),
+    "evaluate": {"numpy", "jax"},
+}
+
+
+def source(module):
+    return (ROOT / f"{module}.py").read_text()
+
+
+def functions(module):
+    return [node for node in ast.walk(ast.parse(source(module))) if isinstance(node, ast.FunctionDef)]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_go_one_way(module):
+    """A reader may stop at any file: the paper's equations know nothing of the environment, and so on."""
+    imported = set()
+    for node in ast.walk(ast.parse(source(module))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(node.module.split(".")[0])
+    above = list(LAYERS)[: list(LAYERS).index(module)]
+    assert imported - set(sys.stdlib_module_names) <= LAYERS[module] | set(above)
+    if module == "eipo":
+        assert not imported & set(LAYERS)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_functions_are_short_and_documented(module):
+    for function in functions(module):
+        lines = function.end_lineno - function.lineno + 1
+        assert lines <= (60 if function.name == "eipo" else 40), f"{function.name} has {lines} lines"
+    tree = ast.parse(source(module))
+    public = [n for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef) and not n.name.startswith("_")]
+    assert [n.name for n in [*public, tree] if not ast.get_docstring(n)] == []
+
+
+@pytest.mark.parametrize("config", train.CONFIGS, ids=lambda c: c.__module__)
+def test_every_setting_says_where_it_comes_from_and_is_used(config):
+    """A flag that nothing reads, or a number without a source, is how copies rot."""
+    comments = train.describe(config)
+    code = "".join(source(module) for module in MODULES)
+    for field in fields(config):
+        assert re.match(r"\[(I|II|III|IV|V|lab code|ours|Eq\.)[-\w. ]*\] \S", comments[field.name]), field.name
+        assert re.search(rf"(config|cfg|options|saved)\.{field.name}\b|\"{field.name}\"", code), (
+            f"nothing reads {field.name}"
+        )
+
+
+def test_flags_of_different_configs_do_not_collide():
+    names = [field.name for config in train.CONFIGS for field in fields(config)]
+    assert len(names) == len(set(names))
+
+
+def test_paper_settings_are_the_defaults():
+    """Section IV-C.c and V-A, number by number."""
+    env, learner = train.settle({}, {})
+    assert (learner.num_steps, learner.num_epochs, learner.num_minibatches) == (24, 5, 4)
+    assert (learner.lr_alpha, learner.clip_alpha, learner.momentum_alpha, learner.max_grad_norm) == (
+        0.01,
+        1.0,
+        0.99,
+        1.0,
+    )
+    assert (learner.iterations, learner.lam, env.history, env.episode_steps) == (4000, 0.005, 5, 1000)
+    assert (learner.hidden, learner.hidden_estimator) == ((512, 256, 128), (256, 128))
+
+
+def table_rows():
+    """README's table of equations: [(tag, functions, tests)]."""
+    rows = re.findall(
+        r"^\| ((?:Eq|Alg|Section|GAE|PPO)[^|]*) \| ([^|]*) \| ([^|]*) \|$", (ROOT / "README.md").read_text(), re.M
+    )
+    return [(tag, re.findall(r"`([\w.]+)`", where), re.findall(r"`([\w.]+)`", tests)) for tag, where, tests in rows]
+
+
+def test_readme_equation_table_resolves_both_ways():
+    """Every row names a function and a test that exist; every Eq. tag of the source has a row."""
+    rows = table_rows()
+    tests = "".join(path.read_text() for path in (ROOT / "tests").glob("test_*.py"))
+    for tag, where, names in rows:
+        assert where and names, tag
+        for name in where:
+            module, attribute = name.split(".")
+            assert hasattr(sys.modules.get(module) or __import__(module), attribute), name
+        for name in names:
+            assert f"def {name}(" in tests, name
+    listed = {int(n) for tag, _, _ in rows for n in re.findall(r"\d+", tag) if tag.startswith("Eq")}
+    used = {int(n) for module in MODULES for n in re.findall(r"Eq\. \((\d+)\)", source(module))}
+    assert used | set(range(1, 12)) == listed
+
+
+def test_readme_lists_every_deviation_that_the_source_names():
+    named = {n for module in MODULES for n in re.findall(r"\bD(\d+)\b", source(module))}
+    listed = set(re.findall(r"^\| D(\d+) ", (ROOT / "README.md").read_text(), re.M))
+    assert named <= listed
+
+
+def test_modules_are_packaged_and_none_is_called_utils():
+    packaged = re.search(r"py-modules = \[(.*)\]", (ROOT / "pyproject.toml").read_text())[1]
+    assert "utils" not in MODULES
+    assert set(MODULES) == set(LAYERS) == set(re.findall(r'"(\w+)"', packaged))
+
+
+def test_tags_of_the_environment_and_the_learner_are_found():
+    """The parser of the tags itself: it must see every field, or the test above would pass on nothing."""
+    for config in (go1_env.Config, eipo.Config, train.Options):
+        assert set(train.describe(config)) == {field.name for field in fields(config)}
+    assert "discount" in train.describe(eipo.Config)["gamma"] and inspect.getsource(eipo.Config)
