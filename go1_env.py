@@ -248,7 +248,7 @@ def check(num_envs, config, threads):
         if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
             raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
         least = 0 if name in ("threads", "noise", "clock_hz") else 1 if isinstance(x, int) else 1e-9
-        if isinstance(x, int | float) and not least <= x < np.inf:
+        if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
             raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
     if config.friction[0] < 0 or config.payload[0] <= -5:
         raise ValueError("friction must not be negative, and a trunk of 5.6 kg cannot lose 5 kg or more")

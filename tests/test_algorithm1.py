@@ -4,7 +4,6 @@ The probes, after Andy Jones, are environments so small that the right answer is
 is broken. All tests share two Configs, one of EIPO and one of PPO, so that JAX compiles each function once for each.
 """
 
-import copy
 import inspect
 import re
 from dataclasses import replace
@@ -19,8 +18,9 @@ import eipo
 from eipo import Config, Dual
 
 EIPO = Config(
-    algo="eipo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, gamma=0.5,
-    gae_lambda=0.5, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9, hidden=(32,), hidden_estimator=(8,),
+    algo="eipo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, gamma=0.5, gae_lambda=0.5,
+    clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
+    clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
 )  # fmt: skip
 PPO = replace(EIPO, algo="ppo")  # on Eq. (2): r - 4 f
 
@@ -120,13 +120,13 @@ def test_rollout_a_fall_has_no_final_value():
 
 def test_rollout_streams_are_of_comparable_size():
     """D6, D10. Standing: r = 1, f = -126 W. In training 0.02 * 1 = 0.02 and 0.02 * 0.005 * -126 = -0.0126 a step."""
-    env = Probe(one, cost=lambda x, t, a: -126 + 0 * x)
-    tau, _, log = roll(env, 2, Config(num_steps=3))
+    env, cfg = Probe(one, cost=lambda x, t, a: -126 + 0 * x), replace(EIPO, reward_scale=0.02, lam=0.005, num_steps=3)
+    tau, _, log = roll(env, 2, cfg)
     assert tau.reward.shape == (3, 16, 2)
     assert tau.reward[..., 0].ravel().tolist() == pytest.approx([0.02] * 48)
     assert tau.reward[..., 1].ravel().tolist() == pytest.approx([-0.0126] * 48)
     assert log["cost"] == -126
-    assert np.array_equal(roll(env, 1, Config(num_steps=3))[0].reward, tau.reward[..., :1])
+    assert np.array_equal(roll(env, 1, cfg)[0].reward, tau.reward[..., :1])
 
 
 def test_rollout_noise_is_fresh_at_every_step():
@@ -244,15 +244,14 @@ def test_algorithm1_counts_the_steps_of_both_policies(with_effort):
 
 
 def test_algorithm1_resumes_with_the_same_bits(with_effort):
+    """Stopped after the first iteration and continued, with the environments as they were: they are not reset."""
     states, _, _ = with_effort
     envs = Probe(near_half, effort), Probe(near_half, effort)
-    first = run(*envs, EIPO, 1)[1][0]
-    kept = [copy.deepcopy(vars(env)) for env in envs]
-    resumed = eipo.eipo(*envs, EIPO, resume=first)
-    next(resumed)  # has reset the environments: the caller puts them back
-    for env, state in zip(envs, kept, strict=True):
-        vars(env).update(state)
-    assert trees_equal(next(resumed), states[2])
+    first, _ = run(*envs, EIPO, 1)[1]
+    resumed = run(*envs, EIPO, 1, resume=first)
+    assert trees_equal(resumed[0][0], first)
+    assert trees_equal(resumed[1], states[2])
+    assert [env.seeds for env in envs] == [[0], [1]]
 
 
 # ---- the toy: one number theta, F = theta^2 ----
@@ -292,7 +291,7 @@ def climb_smooth(theta, alpha, weight, lr=0.02):
 
 def test_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
     """argmax alpha J - F = min(alpha / 2, 1), and pi_prime has J' = 1: from below, alpha stops at 2, theta at 1."""
-    alpha, theta = toy(capped, climb_capped, Config(lr_alpha=0.02, momentum_alpha=0.0), 2000)
+    alpha, theta = toy(capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.0), 2000)
     assert alpha[-1] == pytest.approx(2, abs=1e-3)
     assert theta[-1] == pytest.approx(1, abs=1e-3)
     assert (np.diff(alpha) >= 0).all() and alpha.max() < 2.001
@@ -300,7 +299,7 @@ def test_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
 
 def test_algorithm1_toy_momentum_overshoots_and_stays():
     """The momentum carries alpha past 2; with J = J' there the gradient is 0, and nothing pulls it down again."""
-    alpha, theta = toy(capped, climb_capped, Config(lr_alpha=0.02, momentum_alpha=0.99), 6000)
+    alpha, theta = toy(capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.99), 6000)
     assert alpha[-1] > 2.5
     assert alpha[-1000] == alpha[-1]
     assert theta[-1] == 1
@@ -311,7 +310,7 @@ def test_algorithm1_toy_alpha_grows_without_bound_where_the_task_has_no_kink():
 
     d alpha / dn = 1 / (1 + alpha)^2: 1 + alpha = (3 n)^(1/3), about 18 after 2000 iterations.
     """
-    alpha, theta = toy(smooth, climb_smooth, Config(lr_alpha=1.0, momentum_alpha=0.0), 2000)
+    alpha, theta = toy(smooth, climb_smooth, replace(EIPO, lr_alpha=1.0, momentum_alpha=0.0), 2000)
     assert 15 < alpha[-1] < 20
     assert (np.diff(alpha[100:]) > 0).all()
     assert theta[-1] < 1

@@ -19,8 +19,10 @@ from eipo import Config, Dual, Estimate, Rollout
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
 CONFIG = Config(
     algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, gamma=0.5, gae_lambda=0.5,
-    reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9, hidden=(32,), hidden_estimator=(8,),
+    clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
+    clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
 )  # fmt: skip
+PAPER = replace(CONFIG, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
 KEY = jax.random.key(0)
 gae = jax.jit(eipo.gae)
 ones, never = np.ones(3), np.zeros(3, bool)
@@ -84,7 +86,7 @@ def test_eq04_gradient_in_alpha():
 
     assert lagrangian(2.0) == 14
     assert jax.grad(lagrangian)(2.0) == 2
-    plain = Config(lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
+    plain = replace(PAPER, lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
     assert eipo.step_alpha(Dual(2.0, 0.0), 3.0 - 5.0, plain) == Dual(3.0, 2.0)
 
 
@@ -355,27 +357,27 @@ def test_alpha_momentum():
     """
     dual, alphas = Dual(200.0, 0.0), []
     for gap in (-2, -1, 0.5):
-        dual = eipo.step_alpha(dual, gap, Config())
+        dual = eipo.step_alpha(dual, gap, PAPER)
         alphas.append(dual.alpha)
     assert alphas == pytest.approx([200.01, 200.0299, 200.044601], rel=1e-12)
 
 
 def test_alpha_gradient_is_clipped_both_ways():
     """However far ahead or behind, the gradient is 1: v = 0.99 * 0 -+ 1."""
-    assert eipo.step_alpha(Dual(200.0, 0.0), 64.0, Config()).velocity == -1
-    assert eipo.step_alpha(Dual(200.0, 0.0), -64.0, Config()).velocity == 1
+    assert eipo.step_alpha(Dual(200.0, 0.0), 64.0, PAPER).velocity == -1
+    assert eipo.step_alpha(Dual(200.0, 0.0), -64.0, PAPER).velocity == 1
 
 
 def test_alpha_stays_above_zero_and_loses_its_momentum_there():
     """0.005 - 0.01 < 0: alpha = 0, v = 0. What follows is a fresh start: 0 + 0.01 * 1, not 0.01 * (1 - 0.99)."""
-    dual = eipo.step_alpha(Dual(0.005, 0.0), 1.0, Config())
+    dual = eipo.step_alpha(Dual(0.005, 0.0), 1.0, PAPER)
     assert dual == Dual(0.0, 0.0)
-    assert eipo.step_alpha(dual, -1.0, Config()) == Dual(0.01, 1.0)
+    assert eipo.step_alpha(dual, -1.0, PAPER) == Dual(0.01, 1.0)
 
 
 def test_alpha_dampening_turns_momentum_into_an_average():
     """dampening 0.99: v = 0.01 * 1, alpha = 200 + 0.01 * 0.01; a constant gradient of 1 never gets v above 1."""
-    cfg = Config(dampening_alpha=0.99)
+    cfg = replace(PAPER, dampening_alpha=0.99)
     dual = eipo.step_alpha(Dual(200.0, 0.0), -1.0, cfg)
     assert dual == pytest.approx(Dual(200.0001, 0.01), rel=1e-12)
     for _ in range(2000):
@@ -387,7 +389,7 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
     """v -> 1 / (1 - 0.99) = 100, so that alpha gains at most 0.01 * 100 = 1 per iteration, be the gap ever so wide."""
     duals = [Dual(200.0, 0.0)]
     for _ in range(2000):
-        duals.append(eipo.step_alpha(duals[-1], -1000.0, Config()))
+        duals.append(eipo.step_alpha(duals[-1], -1000.0, PAPER))
     gains = np.diff([dual.alpha for dual in duals])
     assert gains.max() < 1.000001
     assert gains[-1] == pytest.approx(1)
@@ -409,6 +411,14 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
 def test_settings_that_cannot_train_are_refused_in_one_line(bad):
     with pytest.raises(ValueError, match=r"\A.+\Z"):
         eipo.check(replace(Config(), **bad))
+
+
+def test_settings_are_those_of_the_paper():
+    """Section IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 0.01, 1.0 and 0.99."""
+    cfg = Config()
+    assert (cfg.hidden, cfg.hidden_estimator) == ((512, 256, 128), (256, 128))
+    assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
+    assert (cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (0.01, 1, 0.99)
 
 
 def test_settings_of_ppo_are_checked_as_ppo():

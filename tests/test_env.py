@@ -218,6 +218,14 @@ def test_reward_is_eq05_unscaled_in_the_body_frame(command, expected):
     assert info["privileged"] == pytest.approx(np.array([[1.0, 0.0, -9.81 * 0.02]] * 2), abs=1e-9)
 
 
+def test_reward_sees_the_yaw_rate():
+    """Rolling at 1, pitching at 2 and yawing at 1/2 rad/s, asked for none: only the last counts, 1 + 0.5 / e."""
+    env = make(1, **FROZEN)
+    place(env)
+    env.command[:], env.qvel[:, 3:6] = 0.0, [1, 2, 0.5]
+    assert still(env)[1] == pytest.approx([1 + 0.5 * exp(-1)], abs=1e-6)
+
+
 @pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
 def test_eq09_cost_of_a_step(clip, expected):
     """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 + 42 - 200."""
@@ -226,6 +234,16 @@ def test_eq09_cost_of_a_step(clip, expected):
     _, _, _, _, info = still(env)
     assert info["cost"] == pytest.approx([expected], abs=1e-3)
     assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
+
+
+def test_eq09_cost_at_the_torque_limit():
+    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3 is 23.7 again.
+
+    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one asked for.
+    """
+    env = make(1, **FROZEN)
+    place(env)
+    assert env.step(np.full((1, 12), 10.0))[4]["cost"] == pytest.approx([4560.196], abs=0.01)
 
 
 def test_batch_equals_a_plain_mujoco_loop():
