@@ -24,6 +24,7 @@ import optax
 from jax.scipy.stats import norm
 
 LOG_STD_RANGE = (-4.0, 1.0)  # the noise of the policy can neither vanish nor explode
+LR_RANGE = (1e-5, 1e-3)  # [lab code] at least, [IV-C] at most
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Config:
     num_steps: int = 24  # [IV-C] T
     num_epochs: int = 5  # [IV-C]
     num_minibatches: int = 4  # [IV-C]
-    lr: float = 3e-4  # [ours] Adam's step size, eta_pi and eta_pi'; the paper's 1e-3 fails on small batches (D20)
+    lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
+    target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code]
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -79,6 +81,7 @@ class Learner(NamedTuple):
 
     params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
     opt_state: tuple
+    lr: jax.Array  # () Adam's step size now
 
 
 class Rollout(NamedTuple):
@@ -173,7 +176,7 @@ def log_prob(mean, std, action):
 def optimizer(cfg):
     """Adam's direction, with each network's gradient clipped by its own norm; non-finite updates are skipped."""
     clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
-    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.adam(cfg.lr))
+    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam())
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
@@ -187,7 +190,7 @@ def init_learner(key, sizes, heads, cfg):
     estimator = init_mlp(k_estimator, (obs, *cfg.hidden_estimator, privileged))
     log_std = jnp.full(action, cfg.log_std, jnp.float32)
     params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
-    return Learner(params, optimizer(cfg).init(params))
+    return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
 
 
 # ---- L6, L7: rollouts ----
@@ -291,6 +294,14 @@ def ppo_loss(params, batch, cfg):
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
 
 
+def adapt_lr(lr, kl, cfg):
+    """The lab's rule, once per iteration: a smaller step if the policy moved too far, a larger one if hardly at all."""
+    if cfg.target_kl == 0:
+        return lr
+    factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
+    return jnp.clip(lr * factor, *LR_RANGE)
+
+
 @partial(jax.jit, static_argnames="cfg", donate_argnames="learner")
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
     """All epochs and minibatches of one iteration. advantage: (T, N), mixed, not normalised yet.
@@ -308,11 +319,13 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
     def step(learner, chosen):
         batch = {name: x[chosen] for name, x in data.items()}
         gradient, log = jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg)
-        updates, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
-        return Learner(optax.apply_updates(learner.params, updates), opt_state), log
+        direction, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
+        params = jax.tree.map(lambda p, d: p - learner.lr * d, learner.params, direction)
+        return Learner(params, opt_state, learner.lr), log
 
     learner, log = jax.lax.scan(step, learner, minibatches)
-    return learner, {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite)
+    log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
+    return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 
 # ---- L13: the multiplier ----

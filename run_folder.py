@@ -84,8 +84,8 @@ def write_npz(path, arrays):
 def read_npz(path):
     """The arrays of an npz file as a dict. Raises ValueError, in one line, for what is not a whole one."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return dict(file)
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
     except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
