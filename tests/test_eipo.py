@@ -18,7 +18,7 @@ from eipo import Config, Dual, Estimate, Rollout
 
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
 CONFIG = Config(
-    algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, gamma=0.5, gae_lambda=0.5,
+    algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0, gamma=0.5, gae_lambda=0.5,
     clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
     clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
 )  # fmt: skip
@@ -316,7 +316,7 @@ def test_ppo_clips_gradients_per_network():
 def test_ppo_clips_the_norm_at_max_grad_norm():
     """Gradients (3, 4) of norm 5 and (3/8, 4/8) of norm 5/8: clipped to (0.6, 0.8), and untouched.
 
-    Adam's mean starts at 1/10 of that, and its first step is lr = 0.01 down every coordinate.
+    Adam's mean starts at 1/10 of that, and its first direction is 1 up every slope.
     """
     gradient = dict(actor=jnp.array([3.0, 4.0]), critic=jnp.array([0.375, 0.5]), estimator=jnp.zeros(2))
     state = eipo.optimizer(CONFIG).init(gradient)
@@ -324,7 +324,26 @@ def test_ppo_clips_the_norm_at_max_grad_norm():
     mean = optax.tree_utils.tree_get(state, "mu")
     assert mean["actor"].tolist() == pytest.approx([0.06, 0.08])
     assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
-    assert step["actor"].tolist() == pytest.approx([-0.01, -0.01], rel=1e-4)
+    assert step["actor"].tolist() == pytest.approx([1.0, 1.0], rel=1e-4)
+
+
+@pytest.mark.parametrize("kl, lr", [(0.0625, 0.0002), (0.03, 0.0003), (0.015, 0.0003), (0.0078125, 0.00045)])
+def test_lr_follows_the_kl_of_an_iteration(kl, lr):
+    """Target 1/64: beyond twice that 0.0003 / 1.5 = 0.0002, below half of it 0.0003 * 1.5 = 0.00045, between no change.
+
+    0.0078125 = 1/128 is half the target, not below: a hair less is.
+    """
+    cfg = replace(CONFIG, target_kl=1 / 64)
+    kl = kl - 1e-6 if kl < 0.01 else kl
+    assert float(eipo.adapt_lr(jnp.float32(0.0003), kl, cfg)) == pytest.approx(lr)
+
+
+def test_lr_stays_in_its_range_and_is_fixed_without_a_target():
+    """[1e-5, 1e-3]: the lab's floor, the paper's step size."""
+    cfg = replace(CONFIG, target_kl=1 / 64)
+    assert float(eipo.adapt_lr(jnp.float32(1e-5), 9.0, cfg)) == pytest.approx(1e-5)
+    assert float(eipo.adapt_lr(jnp.float32(1e-3), 0.0, cfg)) == pytest.approx(1e-3)
+    assert float(eipo.adapt_lr(jnp.float32(0.25), 9.0, CONFIG)) == 0.25
 
 
 def test_ppo_skips_a_minibatch_that_is_not_finite():
