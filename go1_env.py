@@ -148,6 +148,7 @@ class Go1Env:
         linear, yaw_rate = self._velocity()
         # D13: the trunk on the ground ends the episode. MuJoCo resets a state that is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1)
+        self.action[diverged] = 0.0  # it may be what was not finite
         terminated = diverged | touched
         truncated = ~terminated & (self.age >= self.config.episode_steps)
         reward = np.where(diverged, 0.0, self.task.reward(np.column_stack([linear[:, :2], yaw_rate]), self.command))
@@ -250,5 +251,7 @@ def check(num_envs, config, threads):
         least = 0 if name in ("threads", "noise", "clock_hz") else 1 if isinstance(x, int) else 1e-9
         if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
             raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
-    if config.friction[0] < 0 or config.payload[0] <= -5:
-        raise ValueError("friction must not be negative, and a trunk of 5.6 kg cannot lose 5 kg or more")
+    if config.friction[0] < 0:
+        raise ValueError(f"friction is {config.friction}: it must not be negative")
+    if config.payload[0] <= -5:
+        raise ValueError(f"payload is {config.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")

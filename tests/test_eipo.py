@@ -18,8 +18,8 @@ from eipo import Config, Dual, Estimate, Rollout
 
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
 CONFIG = Config(
-    algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0, gamma=0.5, gae_lambda=0.5,
-    clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
+    algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0,
+    gamma=0.5, gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
     clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
 )  # fmt: skip
 PAPER = replace(CONFIG, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
@@ -269,15 +269,17 @@ def test_ppo_loss():
 def ppo(**changes):
     """One ppo_update of a new learner, always the same but for `changes`. returns params, log, params before."""
     rng = np.random.default_rng(2)
+    cfg = changes.get("cfg", CONFIG)
     learner = eipo.init_learner(KEY, (2, 1, 1), 2, CONFIG)
+    learner = learner._replace(lr=jnp.float32(changes.get("lr", cfg.lr)))
     obs, privileged, action, target = (dyadic(rng, 8, 16, width) for width in (2, 1, 1, 2))
     never = np.zeros((8, 16), bool)
     tau = Rollout(obs, privileged, action, target, never, never, target, obs[0], privileged[0])
     estimate = eipo.estimate(learner.params, tau, CONFIG)._replace(target=changes.get("target", target))
     advantage = changes.get("advantage", dyadic(rng, 8, 16))
     before = jax.tree.map(np.array, learner.params)
-    learner, log = eipo.ppo_update(learner, tau, estimate, advantage, changes.get("key", KEY), CONFIG)
-    return learner.params, log, before
+    learner, log = eipo.ppo_update(learner, tau, estimate, advantage, changes.get("key", KEY), cfg)
+    return learner.params, log | dict(next_lr=learner.lr), before
 
 
 def test_ppo_normalises_the_advantage():
@@ -344,6 +346,15 @@ def test_lr_stays_in_its_range_and_is_fixed_without_a_target():
     assert float(eipo.adapt_lr(jnp.float32(1e-5), 9.0, cfg)) == pytest.approx(1e-5)
     assert float(eipo.adapt_lr(jnp.float32(1e-3), 0.0, cfg)) == pytest.approx(1e-3)
     assert float(eipo.adapt_lr(jnp.float32(0.25), 9.0, CONFIG)) == 0.25
+
+
+def test_lr_is_the_learner_s_and_adapts_after_the_update():
+    """lr = 0 goes nowhere. lr = 1e-5 moves the policy by hardly any KL: the next iteration has 1.5e-5."""
+    params, log, before = ppo(lr=0.0)
+    assert trees_equal(params, before)
+    assert log["next_lr"] == 0
+    log = ppo(lr=1e-5, cfg=replace(CONFIG, target_kl=1 / 64))[1]
+    assert (float(log["lr"]), float(log["next_lr"])) == pytest.approx((1e-5, 1.5e-5))
 
 
 def test_ppo_skips_a_minibatch_that_is_not_finite():
