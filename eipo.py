@@ -35,10 +35,10 @@ class Config:
     lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
     seed: int = 0  # [ours] of networks, noise and environments
     num_envs: int = 96  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
-    iterations: int = 4000  # [V-A]
-    num_steps: int = 24  # [IV-C] T
-    num_epochs: int = 5  # [IV-C]
-    num_minibatches: int = 4  # [IV-C]
+    iterations: int = 4000  # [V-A] of Algorithm 1
+    num_steps: int = 24  # [IV-C] T, per rollout
+    num_epochs: int = 5  # [IV-C] passes over a rollout
+    num_minibatches: int = 4  # [IV-C] per pass
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
     target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
@@ -49,7 +49,7 @@ class Config:
     reward_scale: float = 0.02  # [lab code] s, streams are multiplied by the length of a step (D10)
     lr_alpha: float = 0.01  # [IV-C] eta_alpha
     clip_alpha: float = 1.0  # [IV-C] the gradient in alpha is clipped to +- this
-    momentum_alpha: float = 0.99  # [IV-C]
+    momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
     alpha0: float = 0.0  # [ours] alpha at the start; 0 means 1 / lam (D6)
     log_std: float = 0.0  # [lab code] of the policy's noise, at the start

@@ -19,8 +19,9 @@ from eipo import Config, Dual, Estimate, Rollout
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
 CONFIG = Config(
     algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0,
-    gamma=0.5, gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0, momentum_alpha=0.9,
-    clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
+    gamma=0.5, gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0,
+    momentum_alpha=0.9, clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,),
+    hidden_estimator=(8,),
 )  # fmt: skip
 PAPER = replace(CONFIG, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
 KEY = jax.random.key(0)
