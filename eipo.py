@@ -42,7 +42,7 @@ class Config:
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
     target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
-    gae_lambda: float = 0.95  # [lab code]
+    gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
     clip_eps: float = 0.2  # [lab code] PPO's clip range
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's 0.01 lets the noise of pi_prime grow (D21)
     max_grad_norm: float = 1.0  # [IV-C] per network, so that no loss spends another's budget

@@ -1,0 +1,64 @@
+"""Collect finished runs into this folder: `python results/flat/collect.py RUN...`, from the project's root.
+
+For each run: config.json, every tenth row of metrics.csv, and policy.npz for EIPO. Then curves.png, from what was
+collected: task reward, speed, power and alpha over environment steps, each a running mean of 100 iterations.
+"""
+
+import csv
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+HERE = Path(__file__).parent
+PANELS = dict(reward="task reward per step (Eq. 5)", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
+COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by colour-blind readers
+
+
+def collect(run):
+    """Copy what is worth keeping of one run."""
+    to = HERE / run.name
+    to.mkdir(exist_ok=True)
+    shutil.copy(run / "config.json", to)
+    header, *rows = (run / "metrics.csv").read_text().splitlines()
+    (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
+    if "eipo" in run.name:
+        shutil.copy(run / "policy.npz", to)
+
+
+def columns(folder):
+    """The columns of a metrics.csv as arrays."""
+    with open(folder / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def smooth(x):
+    """Running mean over 10 rows, i.e. 100 iterations."""
+    return np.convolve(x, np.full(10, 0.1), mode="valid")
+
+
+def draw(folders):
+    """curves.png, one line per run; the dotted lines are pi' of EIPO."""
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
+        for folder, colour in zip(folders, COLOURS, strict=False):
+            c = columns(folder)
+            steps = smooth(c["steps"]) / 1e6
+            for column, style in ((name, "-"), ("prime_" + name, ":")):
+                if column in c and np.isfinite(c[column]).all() and not (name == "alpha" and "gap" not in c):
+                    label = folder.name.replace("flat-", "").replace("-seed0", "") + (" (pi')" if style == ":" else "")
+                    axes.plot(steps, smooth(c[column]), style, color=colour, label=label)
+        axes.set(title=title, xlabel="million environment steps")
+        axes.grid(alpha=0.3)
+    figure.axes[2].set_yscale("log")
+    figure.axes[0].legend()
+    figure.savefig(HERE / "curves.png", dpi=110)
+
+
+if __name__ == "__main__":
+    for run in map(Path, sys.argv[1:]):
+        collect(run)
+    draw(sorted(path.parent for path in HERE.glob("*/metrics.csv")))
