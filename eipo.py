@@ -13,7 +13,7 @@ The outer loop is plain Python, so that a `breakpoint()` works anywhere in it; w
 environment here is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -34,13 +34,13 @@ class Config:
     algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
     lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
     seed: int = 0  # [ours] of networks, noise and environments
-    num_envs: int = 96  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
+    num_envs: int = 72  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
     iterations: int = 4000  # [V-A] of Algorithm 1
     num_steps: int = 24  # [IV-C] T, per rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] per pass
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
-    target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
+    target_kl: float = 0.05  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -52,22 +52,26 @@ class Config:
     momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
     alpha0: float = 0.0  # [ours] alpha at the start; 0 means 1 / lam (D6)
-    log_std: float = 0.0  # [lab code] of the policy's noise, at the start
+    log_std: float = -0.7  # [ours] of the policy's noise, at the start: 0.5; the lab starts at 1 (D22)
     hidden: tuple = (512, 256, 128)  # [IV-C] actor and critic
-    hidden_estimator: tuple = (256, 128)  # [IV-C]
+    hidden_estimator: tuple = (256, 128)  # [IV-C] of the estimator
 
 
 def check(cfg):
     """Raise ValueError, in one line, for settings that cannot train."""
     if cfg.algo not in ("eipo", "ppo"):
         raise ValueError(f"unknown algo {cfg.algo!r}: choose eipo or ppo")
-    for name, x in vars(cfg).items():
-        if isinstance(x, float) and not np.isfinite(x):
-            raise ValueError(f"{name} is {x}: it must be a finite number")
-        if isinstance(x, int | tuple) and min(np.atleast_1d(x), default=0) < (name != "seed"):
+    rates = ("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha")
+    for field in fields(cfg):
+        name, x = field.name, getattr(cfg, field.name)
+        if (field.type is int and x < (name != "seed")) or (field.type is tuple and min(x, default=1) < 1):
             raise ValueError(f"{name} is {x}: it must be at least {int(name != 'seed')}")
-    if min(cfg.lam, cfg.lr, cfg.lr_alpha, cfg.alpha0) < 0:
-        raise ValueError("lam, lr, lr_alpha and alpha0 must not be negative")
+        if field.type is float and name != "log_std" and not 0 <= x <= (1 if name in rates else 1e9):
+            raise ValueError(f"{name} is {x}: it must be from 0 to {1 if name in rates else 'any finite number'}")
+    if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
+        raise ValueError(
+            f"lr is {cfg.lr}: with a target_kl it stays in {LR_RANGE[0]} to {LR_RANGE[1]}, give --target-kl 0"
+        )
     if cfg.algo == "eipo" and cfg.lam == 0:
         raise ValueError("EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo")
     if cfg.algo == "eipo" and cfg.num_envs % 2:
@@ -336,8 +340,10 @@ def step_alpha(dual, gap, cfg):
 
     gap: J(pi) - J(pi_prime). dL/dalpha = -gap, so alpha rises while pi is worse than pi_prime. Deviation D2: the
     paper prints +gap. The gradient is clipped to +- clip_alpha; alpha stays >= 0 and loses its momentum there.
-    returns Dual
+    returns Dual, unchanged if the gap is not finite
     """
+    if not np.isfinite(gap):
+        return dual
     gradient = float(np.clip(-gap, -cfg.clip_alpha, cfg.clip_alpha))
     velocity = cfg.momentum_alpha * dual.velocity + (1 - cfg.dampening_alpha) * gradient
     alpha = dual.alpha + cfg.lr_alpha * velocity

@@ -406,6 +406,12 @@ def test_alpha_stays_above_zero_and_loses_its_momentum_there():
     assert eipo.step_alpha(dual, -1.0, PAPER) == Dual(0.01, 1.0)
 
 
+def test_alpha_stays_where_it_is_when_the_gap_is_not_finite():
+    """nan > 0 is false: without care one bad reward would switch the task off."""
+    for gap in (np.nan, np.inf, -np.inf):
+        assert eipo.step_alpha(Dual(200.0, 1.0), gap, PAPER) == Dual(200.0, 1.0)
+
+
 def test_alpha_dampening_turns_momentum_into_an_average():
     """dampening 0.99: v = 0.01 * 1, alpha = 200 + 0.01 * 0.01; a constant gradient of 1 never gets v above 1."""
     cfg = replace(PAPER, dampening_alpha=0.99)
@@ -433,6 +439,7 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
     "bad",
     [
         dict(algo="sac"), dict(lam=-0.1), dict(lam=float("nan")), dict(lr=float("inf")), dict(lr=-1.0),
+        dict(gamma=1.5), dict(momentum_alpha=2.0), dict(target_kl=-1.0), dict(lr=0.01), dict(clip_eps=-0.2),
         dict(lr_alpha=-1.0), dict(alpha0=-1.0), dict(lam=0.0), dict(num_envs=3), dict(num_envs=0), dict(num_steps=0),
         dict(num_epochs=0), dict(iterations=0), dict(seed=-1), dict(hidden=(8, 0)), dict(hidden_estimator=(-1,)),
         dict(num_envs=2, num_steps=1, num_minibatches=2),
