@@ -14,6 +14,7 @@ import optax
 import pytest
 
 import eipo
+import train
 from eipo import Config, Dual, Estimate, Rollout
 
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
@@ -96,12 +97,12 @@ SWEEP = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
 
 @pytest.mark.parametrize("lam", SWEEP)
 def test_eq10_ppo_takes_every_lambda(lam):
-    eipo.check(Config(algo="ppo", lam=lam))
+    train.check(Config(algo="ppo", lam=lam))
 
 
 @pytest.mark.parametrize("lam", SWEEP[1:])
 def test_eq10_eipo_starts_from_every_positive_lambda(lam):
-    eipo.check(Config(algo="eipo", lam=lam))
+    train.check(Config(algo="eipo", lam=lam))
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----
@@ -448,7 +449,7 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
 )  # fmt: skip
 def test_settings_that_cannot_train_are_refused_in_one_line(bad):
     with pytest.raises(ValueError, match=r"\A.+\Z"):
-        eipo.check(replace(Config(), **bad))
+        train.check(replace(Config(), **bad))
 
 
 def test_settings_are_those_of_the_paper():
@@ -461,10 +462,10 @@ def test_settings_are_those_of_the_paper():
 
 def test_settings_of_ppo_are_checked_as_ppo():
     """An odd number of environments, and as few as one sample per minibatch, are enough for one policy."""
-    eipo.check(Config())
-    eipo.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3))
+    train.check(Config())
+    train.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3))
     with pytest.raises(ValueError, match="num_minibatches"):
-        eipo.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=4))
+        train.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=4))
 
 
 def test_imports_know_nothing_of_robots_and_files():

@@ -516,7 +516,8 @@ def test_divergence_resets_one_robot(poison):
     obs, reward, terminated, truncated, info = env.step(action)
     assert terminated.tolist() == info["log"]["ended_diverged"].tolist() == [False, True, False]
     assert not truncated.any() and not info["log"]["ended_trunk"].any()
-    assert all(np.isfinite(x).all() for x in (obs, reward, info["cost"], info["privileged"], info["log"]["power"]))
+    sane = (obs, reward, info["cost"], info["privileged"], info["log"]["power"], info["final_obs"])
+    assert all(np.isfinite(x).all() for x in sane)
     assert (reward[1], info["cost"][1]) == (0.0, 0.0)
     assert env.age.tolist() == [1, 0, 1] and (frames(obs)[1] == frames(obs)[1, 0]).all()
 
