@@ -8,10 +8,12 @@ Absolute rates on a shared machine mean little. Pin with `taskset -c 0` to measu
 """
 
 import argparse
+import contextlib
 import resource
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -71,12 +73,6 @@ def bench_environment(num_envs, threads, steps=25):
     )
 
 
-def flop(params):
-    """Floating-point operations of one forward pass of all networks on one sample."""
-    matrices = [x for x in jax.tree.leaves(params) if x.ndim == 2]
-    return sum(2 * w.size for w in matrices)
-
-
 def bench_update(num_envs, threads):
     """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
     cfg = eipo.Config(algo="ppo", num_envs=num_envs)
@@ -94,7 +90,8 @@ def bench_update(num_envs, threads):
 
     a = jnp.ones((1024, 1024))
     product = jax.jit(lambda a: a @ a)
-    work = 3 * flop(learner[0].params) * cfg.num_epochs * cfg.num_steps * num_envs
+    forward = sum(2 * w.size for w in jax.tree.leaves(learner[0].params) if w.ndim == 2)  # FLOP of one sample
+    work = 3 * forward * cfg.num_epochs * cfg.num_steps * num_envs
     t_update, t_product = seconds(update, lambda: product(a))
     rate, peak = work / t_update, 2 * 1024**3 / t_product
     print(
@@ -104,34 +101,35 @@ def bench_update(num_envs, threads):
 
 def bench_iteration(algo, num_envs, threads, iterations=6):
     """Shares of an iteration and steps/s; prints them."""
-    spent = dict(physics=0.0, policy=0.0)
+    spent = {}
 
-    def timed(name, function):
+    def timed(owner, function, name):
+        inner = getattr(owner, function)
+
         def wrapped(*args):
             start = time.perf_counter()
-            result = jax.block_until_ready(function(*args))
-            spent[name] += time.perf_counter() - start
+            result = jax.block_until_ready(inner(*args))
+            spent[name] = spent.get(name, 0.0) + time.perf_counter() - start
             return result
 
-        return wrapped
+        return mock.patch.object(owner, function, wrapped)
 
     policies = 2 if algo == "eipo" else 1
     envs = [go1_env.Go1Env(num_envs // policies, threads=threads) for _ in range(policies)]
-    for env in envs:
-        env.batch.step = timed("physics", env.batch.step)
-    act, rollout = eipo.act, eipo.rollout
-    spent["rollout"] = 0.0
-    eipo.act, eipo.rollout = timed("policy", act), timed("rollout", rollout)
     cfg = eipo.Config(algo=algo, num_envs=num_envs, iterations=3 + iterations)
-    for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
-        jax.block_until_ready(state.pi)
-        if state.iteration == 3:  # compiled by now
-            start, spent = time.perf_counter(), dict.fromkeys(spent, 0.0)
+    with contextlib.ExitStack() as stack:
+        for env in envs:
+            stack.enter_context(timed(env.batch, "step", "physics"))
+        stack.enter_context(timed(eipo, "act", "policy"))
+        stack.enter_context(timed(eipo, "rollout", "rollout"))
+        for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
+            jax.block_until_ready(state.pi)
+            if state.iteration == 3:  # compiled by now
+                start = time.perf_counter()
+                spent.clear()
     total = time.perf_counter() - start
-    eipo.act, eipo.rollout = act, rollout
-    host = spent["rollout"] - spent["physics"] - spent["policy"]
-    shares = spent | dict(host=host, update=total - spent["rollout"])
-    shares.pop("rollout")
+    rollout = spent.pop("rollout")
+    shares = spent | dict(host=rollout - sum(spent.values()), update=total - rollout)
     rate = iterations * cfg.num_steps * num_envs / total
     print(f"{algo:12} {rate:8.0f} steps/s:", ", ".join(f"{name} {100 * t / total:.0f} %" for name, t in shares.items()))
 
