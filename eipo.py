@@ -34,13 +34,13 @@ class Config:
     algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
     lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
     seed: int = 0  # [ours] of networks, noise and environments
-    num_envs: int = 72  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
+    num_envs: int = 64  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
     iterations: int = 4000  # [V-A] of Algorithm 1
     num_steps: int = 24  # [IV-C] T, per rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] per pass
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
-    target_kl: float = 0.05  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
+    target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
     clip_eps: float = 0.2  # [lab code] PPO's clip range
