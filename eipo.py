@@ -157,7 +157,7 @@ def log_prob(mean, std, action):
 def optimizer(cfg):
     """Adam's direction, with each network's gradient clipped by its own norm; non-finite updates are skipped."""
     clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
-    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam())
+    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam(b1=0.9, b2=0.999))
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
@@ -348,8 +348,8 @@ def eipo(env, env_prime, cfg, resume=None, step_alpha=step_alpha):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    both, root = cfg.algo == "eipo", jax.random.key(cfg.seed)
-    key, key_prime = jax.random.split(root)
+    both = cfg.algo == "eipo"
+    root, key, key_prime = jax.random.split(jax.random.key(cfg.seed), 3)
     sizes = env.obs_size, env.privileged_size, env.action_size
     pi = init_learner(key, sizes, 2, cfg)
     pi_prime = init_learner(key_prime, sizes, 1, cfg) if both else None  # Alg.1 L3

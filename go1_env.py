@@ -78,13 +78,13 @@ class Config:
     stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
 
 
-def foot_heights(q):
-    """Height of the four soles relative to the trunk's origin, for a level trunk [m].
+def leg_heights(q):
+    """Height of the lowest point of each leg, sole or knee, relative to the trunk's origin, for a level trunk [m].
 
     q: (..., 12) [rad] joint angles; returns (..., 4), negative below the trunk. Kinematics of the URDF.
     """
     hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
-    below = -LINK * (np.cos(thigh) + np.cos(thigh + calf))
+    below = -LINK * (np.cos(thigh) + np.maximum(np.cos(thigh + calf), 0.0))
     return HIP_OFFSET * SIDE * np.sin(hip) + below * np.cos(hip) - FOOT_RADIUS
 
 
@@ -114,8 +114,7 @@ class Go1Env:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        touch = model.sensor("trunk_contact").adr[0]
-        self.trunk_contact = batch.bind("sensordata")[:, touch]  # contacts of the trunk with the ground
+        self.contacts = batch.bind("sensordata")  # (N, 9) contacts of trunk, hips and thighs with the ground
         self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
         self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
         self.action = np.zeros((num_envs, 12))
@@ -143,17 +142,17 @@ class Go1Env:
                  log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
         """
         self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
-        power, touched = self._physics(Q_NOMINAL + ACTION_SCALE * self.action)
+        power, fell = self._physics(Q_NOMINAL + ACTION_SCALE * self.action)
         self.age += 1
         linear, yaw_rate = self._velocity()
-        # D13: the trunk on the ground ends the episode. MuJoCo resets a state that is not finite and counts a warning
+        # D13: trunk, hip or thigh on the ground end the episode. MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
-        terminated = diverged | touched
+        terminated = diverged | fell
         truncated = ~terminated & (self.age >= self.config.episode_steps)
         reward = np.where(diverged, 0.0, self.task.reward(np.column_stack([linear[:, :2], yaw_rate]), self.command))
         power = np.where(diverged, energy.SURVIVAL, power)  # a cost of 0
-        log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_trunk=touched & ~diverged,
+        log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_fall=fell & ~diverged,
                    ended_diverged=diverged, ended_limit=truncated)  # fmt: skip
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
@@ -181,16 +180,19 @@ class Go1Env:
     _state = ("frames", "action", "command", "age", "friction", "mass")
 
     def _physics(self, target):
-        """Apply joint targets for one control step: mean power of its physics steps [W], whether the trunk touched."""
-        power, touched = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        """Apply joint targets for one control step: mean power of its physics steps [W], and who fell.
+
+        Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
+        """
+        power, fell = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
         for _ in range(self.config.physics_steps):
             q, qd = self.qpos[:, 7:], self.qvel[:, 6:]
             torque = actuators.limit_torque(actuators.pd_torque(target, q, qd), qd)
             power += energy.total_power(torque, qd, self.config.clip)
             self.ctrl[:] = torque
             self.batch.step()
-            touched |= self.trunk_contact > 0
-        return power / self.config.physics_steps, touched
+            fell |= (self.contacts > 0).any(-1)
+        return power / self.config.physics_steps, fell
 
     def _velocity(self):
         """True velocity of the trunk in its own frame: linear (N, 3) [m/s] and yaw rate (N,) [rad/s]."""
@@ -227,7 +229,7 @@ class Go1Env:
         q = np.clip(Q_NOMINAL * uniform(0.5, 1.5, (n, 12)), *self.joint_range)  # [lab code]
         yaw = uniform(-np.pi, np.pi, n)
         self.qpos[ids, :2] = 0.0
-        self.qpos[ids, 2] = -foot_heights(q).min(-1)  # the lowest foot touches the ground
+        self.qpos[ids, 2] = -leg_heights(q).min(-1)  # the lowest foot (or knee) touches the ground
         self.qpos[ids, 3:7] = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_quat(scalar_first=True)
         self.qpos[ids, 7:] = q
         self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]

@@ -292,7 +292,7 @@ def test_trunk_contact_terminates(quaternion, height, thigh, terminates):
     env = make()
     place(env, np.tile([0.0, thigh, -1.5], 4), height=height, quaternion=quaternion)
     _, _, terminated, truncated, info = still(env)
-    assert terminated.tolist() == info["log"]["ended_trunk"].tolist() == [terminates] * 2
+    assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [terminates] * 2
     assert not truncated.any() and not info["log"]["ended_diverged"].any()
 
 
@@ -515,7 +515,7 @@ def test_divergence_resets_one_robot(poison):
     poison(env, action := np.zeros((3, 12)))
     obs, reward, terminated, truncated, info = env.step(action)
     assert terminated.tolist() == info["log"]["ended_diverged"].tolist() == [False, True, False]
-    assert not truncated.any() and not info["log"]["ended_trunk"].any()
+    assert not truncated.any() and not info["log"]["ended_fall"].any()
     sane = (obs, reward, info["cost"], info["privileged"], info["log"]["power"], info["final_obs"])
     assert all(np.isfinite(x).all() for x in sane)
     assert (reward[1], info["cost"][1]) == (0.0, 0.0)
@@ -564,16 +564,16 @@ def soles(qpos):
         (pi / 2, 0, 0, -0.1, 0.06),  # legs out to the left: the hip's 0.08 is down on the right, up on the left
     ],
 )
-def test_foot_heights_by_hand(hip, thigh, calf, right, left):
+def test_leg_heights_by_hand(hip, thigh, calf, right, left):
     """Links of 0.213 m, 0.08 m from hip to thigh, soles of 0.02 m; order FR, FL, RR, RL."""
-    heights = go1_env.foot_heights(np.tile([hip, thigh, calf], 4).astype(float))
+    heights = go1_env.leg_heights(np.tile([hip, thigh, calf], 4).astype(float))
     assert heights == pytest.approx([right, left, right, left], abs=1e-12)
 
 
-def test_foot_heights_are_those_of_the_model():
+def test_leg_heights_are_those_of_the_model():
     """The formula and go1.xml are the same robot: twelve joint angles at random, any leading shape."""
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
-    heights = go1_env.foot_heights(q)
+    heights = go1_env.leg_heights(q)
     assert heights.shape == (2, 3, 4)
     for i in np.ndindex(2, 3):
         assert heights[i] == pytest.approx(soles([0, 0, 0, 1, 0, 0, 0, *q[i]]), abs=1e-12)
