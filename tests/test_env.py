@@ -284,11 +284,16 @@ def plain_step(model, robot, action):
 
 @pytest.mark.parametrize(
     ("quaternion", "height", "thigh", "terminates"),
-    [(ON_ITS_BACK, 0.056, 0.8, True), (UPRIGHT, 0.056, 3.0, True), (ON_ITS_SIDE, 0.14, 0.8, False)],
-    ids=["back", "belly, legs up", "side, on the hips"],
+    [
+        (ON_ITS_BACK, 0.056, 0.8, True),
+        (UPRIGHT, 0.056, 3.0, True),
+        (ON_ITS_SIDE, 0.14, 0.8, True),
+        (UPRIGHT, 0.4, 0.8, False),
+    ],
+    ids=["back", "belly, legs up", "side, on the hips", "in the air"],
 )
-def test_trunk_contact_terminates(quaternion, height, thigh, terminates):
-    """D13: the trunk's half height is 0.057 m; 1 mm into the ground ends the episode, other parts do not."""
+def test_a_fall_terminates(quaternion, height, thigh, terminates):
+    """D13: the trunk's half height is 0.057 m, a hip reaches 0.147 m to the side; 1 mm into the ground is a fall."""
     env = make()
     place(env, np.tile([0.0, thigh, -1.5], 4), height=height, quaternion=quaternion)
     _, _, terminated, truncated, info = still(env)
@@ -570,9 +575,15 @@ def test_leg_heights_by_hand(hip, thigh, calf, right, left):
     assert heights == pytest.approx([right, left, right, left], abs=1e-12)
 
 
+def test_leg_heights_of_a_leg_that_kneels():
+    """Thigh straight down, shin straight up: the knee is lowest, 0.213 + 0.02 m below the hip."""
+    assert go1_env.leg_heights(np.tile([0.0, 0.0, -np.pi], 4)) == pytest.approx([-0.233] * 4)
+
+
 def test_leg_heights_are_those_of_the_model():
-    """The formula and go1.xml are the same robot: twelve joint angles at random, any leading shape."""
+    """The formula and go1.xml are the same robot: twelve joint angles at random, shins pointing down, any shape."""
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
+    q[..., 1::3], q[..., 2::3] = abs(q[..., 1::3]), -abs(q[..., 2::3])
     heights = go1_env.leg_heights(q)
     assert heights.shape == (2, 3, 4)
     for i in np.ndindex(2, 3):
