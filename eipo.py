@@ -6,7 +6,8 @@ alpha (L13).
 
     J, F            discounted sums of the task reward (Eq. 1) and of the auxiliary cost (Eq. 3)
     pi, pi_prime    the policy that we want, alpha J - F, and the one that only knows the task, J
-    alpha, lam      the multiplier of Eq. (4) and the weight of Eq. (2): lam = 1 / alpha
+    alpha           the multiplier of Eq. (4); what Eq. (2) calls lambda is 1 / alpha
+    lam             lambda_0: where 1 / alpha starts (EIPO) or stays (PPO)
     T, N, K         steps of a rollout, environments, heads of the critic (task, cost)
 
 The outer loop is plain Python, so that a `breakpoint()` works anywhere in it; what is worth compiling is jitted. An
@@ -23,7 +24,7 @@ import numpy as np
 import optax
 from jax.scipy.stats import norm
 
-LOG_STD_RANGE = (-4.0, 1.0)  # the noise of the policy can neither vanish nor explode
+LOG_STD_RANGE = (-4.0, 1.0)  # [ours] the noise of the policy can neither vanish nor explode
 LR_RANGE = (1e-5, 1e-3)  # [lab code] at least, [IV-C] at most
 
 
@@ -40,13 +41,13 @@ class Config:
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] per pass
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
-    target_kl: float = 0.02  # [ours] lr follows the KL of an iteration's update; 0 keeps it fixed (D20)
+    target_kl: float = 0.02  # [ours] lr follows the KL, averaged over an update's minibatches; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
     clip_eps: float = 0.2  # [lab code] PPO's clip range
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's 0.01 lets the noise of pi_prime grow (D21)
     max_grad_norm: float = 1.0  # [IV-C] per network, so that no loss spends another's budget
-    reward_scale: float = 0.02  # [lab code] s, streams are multiplied by the length of a step (D10)
+    reward_scale: float = 0.02  # [lab code] streams are multiplied by this, the usual length of a step in s (D10)
     lr_alpha: float = 0.01  # [IV-C] eta_alpha
     clip_alpha: float = 1.0  # [IV-C] the gradient in alpha is clipped to +- this
     momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
@@ -132,8 +133,7 @@ def policy(params, obs):
     """
     estimate = mlp(params["estimator"], obs)
     mean = mlp(params["actor"]["layers"], jnp.concatenate([obs, jax.lax.stop_gradient(estimate)], -1))
-    std = jnp.exp(jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE))
-    return mean, jnp.broadcast_to(std, mean.shape), estimate
+    return mean, jnp.broadcast_to(jnp.exp(params["actor"]["log_std"]), mean.shape), estimate
 
 
 @jax.jit
@@ -230,8 +230,7 @@ def estimate(params, tau, cfg):
     after = value(params, tau.next_obs, tau.next_privileged)
     terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
     next_values = jnp.where(truncated, tau.final_value, jnp.concatenate([values[1:], after[None]]))
-    ends = [jnp.broadcast_to(end, values.shape) for end in (terminated, truncated)]
-    advantage = gae(tau.reward, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
+    advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
     mean, std, _ = policy(params, tau.obs)
     return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
 
@@ -239,8 +238,8 @@ def estimate(params, tau, cfg):
 def mix(advantage, alpha, lam):
     """Advantage (T, N) of alpha J - F, up to a positive factor. Eqs. (2) and (4), D6.
 
-    advantage: (T, N, 2) of the streams r and lam f. Weights (alpha lam, -1) are alpha A_r - A_f, divided by 1 / lam;
-    with alpha = 1 / lam that is A_r - lam A_f: PPO on Eq. (2). lam = 0, alpha infinite, leaves the task alone.
+    advantage: (T, N, 2) of the streams r and lam f. The weights (alpha lam, -1) give lam (alpha A_r - A_f); with
+    alpha = 1 / lam that is A_r - lam A_f: PPO on Eq. (2). lam = 0, alpha infinite, leaves the task alone.
     """
     return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
 
@@ -302,6 +301,7 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
         gradient, log = jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg)
         direction, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
         params = jax.tree.map(lambda p, d: p - learner.lr * d, learner.params, direction)
+        params["actor"]["log_std"] = jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)
         return Learner(params, opt_state, learner.lr), log
 
     learner, log = jax.lax.scan(step, learner, minibatches)

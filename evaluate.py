@@ -1,8 +1,9 @@
-"""How good is a trained policy? The metric of Section V-A, on the simulator that trained it.
+"""How good is a trained policy? The task performance of Section V-A, on the simulator that trained it.
 
 `python evaluate.py RUN...` prints one line per run folder: task performance (sum of Eq. (5) over an episode / 1000,
-early ends count as zeros), the share of episodes that end in a fall, mean speed, power and energy per metre. The
-policy is deterministic, commands are uniform in the task's range, and the episodes are the same for every policy.
+early ends count as zeros), the share of episodes that end in a fall, mean speed, power, and mean power by mean speed.
+The policy is deterministic; each episode keeps one command, uniform in the task's range; noise, friction and payload
+are drawn as in training; every policy starts from the same states with the same commands.
 """
 
 import argparse
@@ -52,7 +53,7 @@ def run_episodes(env, params):
 def evaluate(folder, num_episodes=1000, threads=0):
     """Episodes of the policy in a run folder. num_episodes: how many, all at once."""
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
-    env = go1_env.Go1Env(num_episodes, replace(config, stagger=False), threads)
+    env = go1_env.Go1Env(num_episodes, replace(config, stagger=False, command_steps=config.episode_steps), threads)
     return run_episodes(env, params)
 
 

@@ -11,6 +11,7 @@ cannot be read raises ValueError with one line that says why.
 """
 
 import csv
+import itertools
 import json
 import os
 import platform
@@ -43,8 +44,18 @@ def commit():
         return "unknown"
 
 
+def replace_file(path, write):
+    """Call write(file) on a temporary file, then rename it to path: readers find the old file or the whole new one."""
+    temporary = path.with_name(path.name + ".tmp")
+    with open(temporary, "wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
 def save_config(folder, env_config, config, argv):
-    """config.json: both Configs, and where, with what and how the run was started."""
+    """config.json: both Configs, and where, with what and how the run was started, or last resumed."""
     about = dict(
         command=shlex.join(["python", "train.py", *argv]),
         commit=commit(),
@@ -52,7 +63,7 @@ def save_config(folder, env_config, config, argv):
         versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
     )
     record = dict(env=asdict(env_config), learner=asdict(config)) | about
-    (folder / "config.json").write_text(json.dumps(record, indent=1) + "\n")
+    replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
 def tuples(record):
@@ -69,16 +80,6 @@ def load_config(folder):
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{folder / 'config.json'} is damaged or of another version: {error}") from None
-
-
-def write_npz(path, arrays):
-    """Write arrays to path in one step: a reader finds the old file or the new one, never half of it."""
-    temporary = path.with_name(path.name + ".tmp")
-    with open(temporary, "wb") as file:
-        np.savez(file, **arrays)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 def read_npz(path):
@@ -102,7 +103,7 @@ def save_checkpoint(path, state, envs):
     arrays = {"state" + name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in env.state().items()}
-    write_npz(path, arrays)
+    replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_checkpoint(path, template, envs):
@@ -133,7 +134,8 @@ def save_policy(path, params, env_config):
                for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
     units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1_env.Q_NOMINAL, kp=actuators.KP,
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=actuators.KD)  # fmt: skip
-    write_npz(path, weights | units | dict(config=json.dumps(asdict(env_config))))
+    arrays = weights | units | dict(config=json.dumps(asdict(env_config)))
+    replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_policy(path):
@@ -141,21 +143,19 @@ def load_policy(path):
     arrays = read_npz(path)
 
     def layers(net):
-        return [(arrays[f"{net}.{i}.W"], arrays[f"{net}.{i}.b"]) for i in range(4) if f"{net}.{i}.W" in arrays]
+        indices = itertools.takewhile(lambda i: f"{net}.{i}.W" in arrays, itertools.count())
+        return [(arrays[f"{net}.{i}.W"], arrays[f"{net}.{i}.b"]) for i in indices]
 
     try:
         params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
         return params, go1_env.Config(**tuples(json.loads(str(arrays["config"]))))
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a policy of this version: {error}") from None
 
 
 def draw_curves(folder):
     """curves.png: the columns of metrics.csv that tell the story, over environment steps."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # slow to import, and only wanted here
 
     with open(folder / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
@@ -167,9 +167,9 @@ def draw_curves(folder):
     figure = Figure(figsize=(12, 6), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):
         for column, label in ((name, "pi"), ("prime_" + name, "pi'")):
-            if column in columns and np.isfinite(columns[column]).all():
+            if column in columns and np.isfinite(columns[column]).any():
                 axes.plot(columns["steps"] / 1e6, columns[column], label=label, linewidth=0.8)
         axes.set(title=title, xlabel="million steps")
         axes.grid(alpha=0.3)
     figure.axes[0].legend()
-    figure.savefig(folder / "curves.png", dpi=100)
+    replace_file(folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png"))

@@ -9,6 +9,7 @@ import argparse
 import csv
 import inspect
 import re
+import shlex
 import signal
 import sys
 import time
@@ -91,12 +92,17 @@ def check(cfg):
         name, x = field.name, getattr(cfg, field.name)
         if (field.type is int and x < (name != "seed")) or (field.type is tuple and min(x, default=1) < 1):
             raise ValueError(f"{name} is {x}: it must be at least {int(name != 'seed')}")
-        if field.type is float and name != "log_std" and not 0 <= x <= (1 if name in rates else 1e9):
-            raise ValueError(f"{name} is {x}: it must be from 0 to {1 if name in rates else 'any finite number'}")
+        low, high = eipo.LOG_STD_RANGE if name == "log_std" else (0.0, 1.0 if name in rates else 1e9)
+        if field.type is float and not low <= x <= high:
+            raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
     if cfg.target_kl and not eipo.LR_RANGE[0] <= cfg.lr <= eipo.LR_RANGE[1]:
         raise ValueError(
             f"lr is {cfg.lr}: with a target_kl it stays in {eipo.LR_RANGE[0]} to {eipo.LR_RANGE[1]}, give --target-kl 0"
         )
+    if cfg.seed >= 2**31:
+        raise ValueError(f"seed is {cfg.seed}: it must be less than 2**31")
+    if cfg.algo == "ppo" and cfg.alpha0:
+        raise ValueError(f"alpha0 is {cfg.alpha0}: PPO's alpha is 1 / lam, so give --lam instead")
     if cfg.algo == "eipo" and cfg.lam == 0:
         raise ValueError("EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo")
     if cfg.algo == "eipo" and cfg.num_envs % 2:
@@ -116,10 +122,12 @@ class Log:
         self.done, self.iterations, self.start = done, iterations, time.monotonic()
         self.path = folder / "metrics.csv"
         kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
-        self.path.write_text("".join(kept))
+        if done and len(kept) < done + 1:
+            raise ValueError(f"{self.path} has lost rows: it ends before iteration {done}, where the checkpoint is")
+        run_folder.replace_file(self.path, lambda file: file.write("".join(kept).encode()))
 
     def row(self, iteration, metrics):
-        """Write one row, and what matters of it to the console."""
+        """Write one row, and what matters of it to the console. Time counts from the last start or resume."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
@@ -150,9 +158,9 @@ def prepare(options, given_env, given_learner, argv):
     elif any((folder / name).exists() and (folder / name).stat().st_size for name in ("checkpoint.npz", "metrics.csv")):
         raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
     check(config)
-    if not options.resume:
-        go1_env.check(config.num_envs, env_config, options.threads)
-        folder.mkdir(parents=True, exist_ok=True)
+    go1_env.check(config.num_envs, env_config, options.threads)
+    folder.mkdir(parents=True, exist_ok=True)
+    if not options.resume or config.iterations > run_folder.load_config(folder)[1].iterations:
         run_folder.save_config(folder, env_config, config, argv)
     return folder, env_config, config
 
@@ -209,11 +217,15 @@ def main(argv):
         folder, env_config, config = prepare(options, given_env, given_learner, argv)
         with stop_at_boundary() as asked:
             done = train(folder, env_config, config, options, asked)
+    except KeyboardInterrupt:
+        print("\nStopped at once; --resume goes on from the last checkpoint", file=sys.stderr)
+        return 130
     except (ValueError, OSError) as error:
         print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     if done < config.iterations:
-        print(f"\nStopped after iteration {done}. Continue with: python train.py --out {folder} --resume")
+        again = shlex.join(["python", "train.py", "--out", str(folder), "--resume"])
+        print(f"\nStopped after iteration {done}. Continue with: {again}")
         return 130
     print(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
     return 0

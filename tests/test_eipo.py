@@ -229,12 +229,11 @@ def test_networks_who_sees_what():
     assert eipo.value(params, jnp.array([3.0]), jnp.array([5.0])).tolist() == [43]
 
 
-@pytest.mark.parametrize(("log_std", "std"), [(-10.0, 0.01831564), (-1.0, 0.36787944), (10.0, 2.71828183)])
-def test_networks_log_std_is_clipped(log_std, std):
-    """The noise can neither vanish nor explode: exp(-4), exp(-1), exp(1)."""
+def test_networks_noise():
+    """log_std = -1: the noise is exp(-1), the same for every observation."""
     params = handmade()
-    params["actor"]["log_std"] = jnp.array([log_std])
-    assert eipo.policy(params, jnp.ones(1))[1].tolist() == pytest.approx([std])
+    params["actor"]["log_std"] = jnp.array([-1.0])
+    assert eipo.policy(params, jnp.ones((2, 1)))[1] == pytest.approx(np.full((2, 1), 0.36787944))
 
 
 def test_networks_log_prob():
@@ -274,6 +273,7 @@ def ppo(**changes):
     cfg = changes.get("cfg", CONFIG)
     learner = eipo.init_learner(KEY, (2, 1, 1), 2, CONFIG)
     learner = learner._replace(lr=jnp.float32(changes.get("lr", cfg.lr)))
+    learner.params["actor"]["log_std"] += changes.get("log_std", 0.0)
     obs, privileged, action, target = (dyadic(rng, 8, 16, width) for width in (2, 1, 1, 2))
     never = np.zeros((8, 16), bool)
     tau = Rollout(obs, privileged, action, target, never, never, target, obs[0], privileged[0])
@@ -282,6 +282,13 @@ def ppo(**changes):
     before = jax.tree.map(np.array, learner.params)
     learner, log = eipo.ppo_update(learner, tau, estimate, advantage, changes.get("key", KEY), cfg)
     return learner.params, log | dict(next_lr=learner.lr), before
+
+
+@pytest.mark.parametrize(("log_std", "kept"), [(-10.0, -4.0), (10.0, 1.0)])
+def test_ppo_keeps_the_noise_in_its_range(log_std, kept):
+    """After the step, not in the forward pass: there it would stop the gradient that leads back."""
+    assert ppo(log_std=log_std)[0]["actor"]["log_std"].tolist() == pytest.approx([kept], abs=0.2)
+    assert eipo.LOG_STD_RANGE[0] <= ppo(log_std=log_std)[0]["actor"]["log_std"][0] <= eipo.LOG_STD_RANGE[1]
 
 
 def test_ppo_normalises_the_advantage():

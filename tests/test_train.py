@@ -1,7 +1,6 @@
 """The command line and the run folder: whatever stops a run, its numbers come out the same."""
 
 import json
-import os
 import shlex
 import signal
 import subprocess
@@ -109,6 +108,7 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     assert run(*flags, "--iterations", 3, "--out", tmp_path / "short") == 0
     assert train.main(["--out", str(tmp_path / "short"), "--resume", "--iterations", "6"]) == 0
     assert rows(tmp_path / "short") == rows(tmp_path / "long")
+    assert run_folder.load_config(tmp_path / "short") == run_folder.load_config(tmp_path / "long")
 
 
 def test_threads_do_not_change_the_numbers(finished, tmp_path):
@@ -132,6 +132,9 @@ def test_threads_do_not_change_the_numbers(finished, tmp_path):
         (["--lam", "0"], "lam"),
         (["--lr", "inf"], "lr"),
         (["--history", "0"], "history"),
+        (["--log-std", "2"], "log_std"),
+        (["--seed", "5000000000"], "seed"),
+        (["--algo", "ppo", "--alpha0", "100"], "alpha0"),
         (["--hidden", "0"], "hidden"),
         (["--clip", "voltage"], "voltage"),
         (["--friction", "1", "0"], "friction"),
@@ -174,14 +177,19 @@ def damage(kind, folder):
         arrays = run_folder.read_npz(checkpoint)
         wrong = next(name for name in arrays if "actor" in name)
         np.savez(checkpoint, **arrays | {wrong: np.ones((2, 2))})
+    elif kind == "of a longer run":
+        (folder / "metrics.csv").write_text("iteration\n")
     elif kind == "config damaged":
         (folder / "config.json").write_text("{")
     elif kind == "config missing":
         (folder / "config.json").unlink()
 
 
-@pytest.mark.parametrize("kind", ["missing", "truncated", "empty", "not an archive", "of another program",
-                                  "of another network", "config damaged", "config missing"])  # fmt: skip
+KINDS = ["missing", "truncated", "empty", "not an archive", "of another program", "of another network",
+         "of a longer run", "config damaged", "config missing"]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, kind):
     assert run("--iterations", 2, "--out", tmp_path) == 0
     damage(kind, tmp_path)
@@ -195,12 +203,17 @@ def test_an_unwritable_folder_is_one_line(tmp_path, capsys):
     assert "file" in error_of(capsys, "--out", tmp_path / "file" / "run")
 
 
-def test_a_crash_while_writing_keeps_the_old_file(tmp_path, monkeypatch):
-    run_folder.write_npz(tmp_path / "a.npz", dict(x=np.ones(2)))
-    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    run_folder.replace_file(path, lambda file: file.write(b"old"))
+
+    def fail(file):
+        file.write(b"ne")
+        raise OSError("disk full")
+
     with pytest.raises(OSError, match="disk full"):
-        run_folder.write_npz(tmp_path / "a.npz", dict(x=np.zeros(2)))
-    assert run_folder.read_npz(tmp_path / "a.npz")["x"].tolist() == [1.0, 1.0]
+        run_folder.replace_file(path, fail)
+    assert path.read_bytes() == b"old"
 
 
 def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys, monkeypatch):

@@ -48,7 +48,7 @@ def draw(folders):
             c = columns(folder)
             steps = smooth(c["steps"]) / 1e6
             for column, style in ((name, "-"), ("prime_" + name, ":")):
-                if column in c and np.isfinite(c[column]).all() and not (name == "alpha" and "gap" not in c):
+                if column in c and np.isfinite(c[column]).any() and not (name == "alpha" and "gap" not in c):
                     label = folder.name.replace("flat-", "").replace("-seed0", "") + (" (pi')" if style == ":" else "")
                     axes.plot(steps, smooth(c[column]), style, color=colour, label=label)
         axes.set(title=title, xlabel="million environment steps")
