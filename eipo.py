@@ -41,7 +41,7 @@ class Config:
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] per pass
     lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
-    target_kl: float = 0.02  # [ours] lr follows the KL, averaged over an update's minibatches; 0 keeps it fixed (D20)
+    target_kl: float = 0.03  # [ours] lr follows the KL, averaged over an update's minibatches; 0 keeps it fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -53,7 +53,7 @@ class Config:
     momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
     alpha0: float = 0.0  # [ours] alpha at the start; 0 means 1 / lam (D6)
-    log_std: float = -0.7  # [ours] of the policy's noise, at the start: 0.5; the lab starts at 1 (D22)
+    log_std: float = 0.0  # [lab code] of the policy's noise, at the start
     hidden: tuple = (512, 256, 128)  # [IV-C] actor and critic
     hidden_estimator: tuple = (256, 128)  # [IV-C] of the estimator
 
