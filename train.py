@@ -48,7 +48,11 @@ def describe(config):
 
 def parse(argv):
     """The flags that were given: one dict of fields for each of CONFIGS."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS)
+    usage = "train.py [--task flat] [--algo eipo|ppo] [--out DIR] [--resume] [--FIELD VALUE ...]"
+    parser = argparse.ArgumentParser(
+        usage=usage, description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS, allow_abbrev=False
+    )
+    parser.error = lambda message: parser.exit(2, f"train.py: {message} (-h lists every flag)\n")
     for config in CONFIGS:
         comments = describe(config)
         for field in fields(config):

@@ -149,6 +149,14 @@ def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, fl
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("flags", [["--num-envs", "many"], ["--speed", "3"], ["--iter", "2"], ["--lr"]])
+def test_flags_that_do_not_parse_are_one_line(capsys, flags):
+    with pytest.raises(SystemExit, match="2"):
+        train.main(flags)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert flags[0] in line
+
+
 def test_a_run_is_never_overwritten(finished, capsys):
     before = {path.name: path.read_bytes() for path in finished.iterdir()}
     assert "--resume" in error_of(capsys, "--iterations", 20, "--out", finished)
