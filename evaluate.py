@@ -50,9 +50,10 @@ def run_episodes(env, params):
     return Episodes(task / limit, fell, v_x / steps, power / steps)
 
 
-def evaluate(folder, num_episodes=1000, threads=0):
-    """Episodes of the policy in a run folder. num_episodes: how many, all at once."""
+def evaluate(folder, num_episodes=1000, clip=None, threads=0):
+    """Episodes of the policy in a run folder. num_episodes: how many, all at once; clip: of Eq. (9), None as trained."""
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
+    config = replace(config, clip=clip or config.clip)
     env = go1_env.Go1Env(num_episodes, replace(config, stagger=False, command_steps=config.episode_steps), threads)
     return run_episodes(env, params)
 
@@ -62,11 +63,12 @@ def main(argv):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", help="run folders, each with a policy.npz")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
+    parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     args = parser.parse_args(argv)
     try:
         print("| run | task performance | fell | v_x [m/s] | power [W] | energy [J/m] |\n|---|---|---|---|---|---|")
         for folder in args.runs:
-            e = evaluate(folder, args.episodes)
+            e = evaluate(folder, args.episodes, args.clip)
             print(f"| {folder} | {e.task.mean():.3f} | {100 * e.fell.mean():.1f} % | {e.v_x.mean():.3f} "
                   f"| {e.power.mean():.1f} | {e.power.mean() / e.v_x.mean():.0f} |", flush=True)  # fmt: skip
     except (ValueError, OSError) as error:
