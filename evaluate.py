@@ -51,7 +51,7 @@ def run_episodes(env, params):
 
 
 def evaluate(folder, num_episodes=1000, clip=None, threads=0):
-    """Episodes of the policy in a run folder. num_episodes: how many, all at once; clip: of Eq. (9), None as trained."""
+    """Episodes of the policy in a run folder. num_episodes: all at once; clip: of Eq. (9), None as trained."""
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
     config = replace(config, clip=clip or config.clip)
     env = go1_env.Go1Env(num_episodes, replace(config, stagger=False, command_steps=config.episode_steps), threads)
