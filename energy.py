@@ -28,8 +28,8 @@ def mechanical_power(torque, qd, clip="torque"):
     returns (...,) [W]
     Raises ValueError for any other clip.
 
-    Deviation D3: the literal clip is the default, although "power" is the physical reading. With the literal
-    one, a joint that is driven hard in the negative direction is charged as if its torque were -3 N m.
+    Deviation D3: the default here is the printed clip, training uses "power". With the printed one a joint that is
+    driven hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)

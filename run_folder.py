@@ -28,6 +28,7 @@ import numpy as np
 
 import actuators
 import eipo
+import go1
 import go1_env
 
 
@@ -128,11 +129,22 @@ def load_checkpoint(path, template, envs):
 
 
 def save_policy(path, params, env_config):
-    """What inference needs, without JAX: the weights of actor and estimator, and what turns numbers into units."""
+    """policy.npz: what it takes to run the policy without JAX and without this project. README shows how.
+
+    estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
+    actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
+    log_std                (12,) of the noise in training; a deployed policy takes the mean
+    frame_scale            (44,) units -> observation; the entries of a frame are the table at the top of go1_env.py
+    q_nominal              (12,) [rad]; action_scale (12,) [rad]: the target of the PD controller is their sum
+    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, at the rate of the physics
+    config                 go1_env.Config as JSON: history H, timestep, physics_steps, action_limit ...
+
+    Joints: FR, FL, RR, RL x hip, thigh, calf.
+    """
     layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
     weights = {f"{net}.{i}.{name}": np.asarray(x) for net in layers for i, layer in enumerate(layers[net])
                for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
-    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1_env.Q_NOMINAL, kp=actuators.KP,
+    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=actuators.KP,
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=actuators.KD)  # fmt: skip
     arrays = weights | units | dict(config=json.dumps(asdict(env_config)))
     replace_file(path, lambda file: np.savez(file, **arrays))

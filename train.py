@@ -21,8 +21,12 @@ import eipo
 import go1_env
 import run_folder
 
-# What the paper sets per task: H, the first (EIPO) or only (PPO) lambda, and the length of training [V-A]
-TASKS = {"flat": dict(history=5, lam=0.005, iterations=4000)}
+# What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]
+TASKS = {
+    "flat": dict(lam=0.005, iterations=4000),
+    "rough": dict(lam=0.0002, iterations=4000),
+    "velocity": dict(lam=0.0002, iterations=10_000),
+}
 
 
 @dataclass(frozen=True)
@@ -69,11 +73,8 @@ def parse(argv):
 
 def settle(given_env, given_learner):
     """Defaults, then what the paper sets for the task, then what was given: go1_env.Config and eipo.Config."""
-    task = given_env.get("task", go1_env.Config.task)
-    if task not in TASKS:
-        raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
-    paper = [{f.name: TASKS[task][f.name] for f in fields(config) if f.name in TASKS[task]} for config in CONFIGS[1:]]
-    return go1_env.Config(**paper[0] | given_env), eipo.Config(**paper[1] | given_learner)
+    env_config = go1_env.task_config(**given_env)
+    return env_config, eipo.Config(**TASKS[env_config.task] | given_learner)
 
 
 def settle_resumed(folder, given_env, given_learner):
@@ -149,12 +150,17 @@ class Log:
             print(line, flush=True)
 
 
+def run_path(options, env_config, config):
+    """The run folder: what --out says, or a name that tells the settings."""
+    return Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}-seed{config.seed}")
+
+
 def prepare(options, given_env, given_learner, argv):
     """Make the run folder, or check that what it holds fits; returns folder, go1_env.Config, eipo.Config."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
     env_config, config = settle(given_env, given_learner)
-    folder = Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}-seed{config.seed}")
+    folder = run_path(options, env_config, config)
     if options.resume:
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")

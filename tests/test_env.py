@@ -5,13 +5,15 @@ wants them, no motor pulls and nothing moves but the fall itself. And a physics 
 that a test writes still, so that the next observation and cost are of that very state.
 """
 
-from math import exp, pi
+from math import cos, exp, pi, sin
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import energy
+import go1
 import go1_env
 from go1_env import Config, Go1Env
 
@@ -24,15 +26,15 @@ ACTION = slice(30, 42)  # the previous action within a frame of 44
 
 
 def make(num_envs=2, threads=1, seed=0, **fields):
-    """A reset environment without noise and with first episodes that start at age 0."""
-    env = Go1Env(num_envs, Config(**(dict(noise=0.0, stagger=False) | fields)), threads)
+    """A reset environment without noise and with first episodes that start at age 0; task="flat" if not told."""
+    env = Go1Env(num_envs, go1_env.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads)
     env.reset(seed)
     return env
 
 
 def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0)):
-    """Write the same state into every environment: joints, trunk pose, world velocity of the trunk."""
-    env.qpos[:, :3], env.qpos[:, 3:7], env.qpos[:, 7:] = [0, 0, height], quaternion, q
+    """Write the same state into every environment, where it is: joints, trunk pose, world velocity of the trunk."""
+    env.qpos[:, 2], env.qpos[:, 3:7], env.qpos[:, 7:] = height, quaternion, q
     env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, 0.0, qd
 
 
@@ -74,7 +76,8 @@ def same_bits(a, b):
 
 def table():
     """The docstring's table of the observation: width per entry; scale and noise per column."""
-    rows = [line.split("|")[1:-1] for line in go1_env.__doc__.splitlines() if line.startswith("|")][2:]
+    rows = go1_env.__doc__.split("\n\n| entry")[1].split("\n\n")[0].splitlines()[2:]
+    rows = [row.split("|")[1:-1] for row in rows]
     widths = [int(row[1]) for row in rows]
     scales = [[float(x) for x in row[3].split(",")] for row in rows]
     scales = [scale * (width // len(scale)) for scale, width in zip(scales, widths, strict=True)]
@@ -251,9 +254,9 @@ def test_batch_equals_a_plain_mujoco_loop():
 
     D17: the cost is the mean of Eq. (9) over the four physics steps. The models get the robots' friction and mass.
     """
-    env = make(3)
+    env = make(3, clip="torque")
     actions = random_actions(env, 12)
-    models = [mujoco.MjModel.from_xml_path(str(go1_env.MODEL)) for _ in range(3)]
+    models = [mujoco.MjModel.from_xml_path(str(go1.MODEL)) for _ in range(3)]
     robots = [mujoco.MjData(model) for model in models]
     for i, (model, robot) in enumerate(zip(models, robots, strict=True)):
         model.geom_friction[:], model.body_mass[:] = env.friction[i], env.mass[i]
@@ -421,7 +424,7 @@ def test_reset_puts_the_lowest_foot_on_the_ground():
 
 def physical(env):
     """What an episode draws of the physics: friction of the four feet (N, 4), payload [kg] (N,)."""
-    model = mujoco.MjModel.from_xml_path(str(go1_env.MODEL))
+    model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
     feet = [model.geom(f"{leg}_foot").id for leg in ("FR", "FL", "RR", "RL")]
     others = [i for i in range(model.nbody) if model.body(i).name != "trunk"]
     assert (env.mass[:, others] == model.body_mass[others]).all()
@@ -453,10 +456,11 @@ def test_friction_and_payload_last_one_episode():
 # ---- the same bits ----
 
 
+@pytest.mark.parametrize("task", go1_env.TASKS)
 @pytest.mark.parametrize("threads", [2, 0])
-def test_threads_do_not_change_the_bits(threads):
+def test_threads_do_not_change_the_bits(threads, task):
     """A laptop and a server train the same policy. Crosses resets and draws of commands."""
-    one, many = (make(5, threads=n, stagger=True, noise=1.0, episode_steps=5) for n in (1, threads))
+    one, many = (make(5, threads=n, task=task, stagger=True, noise=1.0, episode_steps=5) for n in (1, threads))
     assert same_bits(run(one, random_actions(one, 8)), run(many, random_actions(many, 8)))
 
 
@@ -471,9 +475,10 @@ def test_seeds():
     assert same_bits(ours, run(used, actions)) and not same_bits(ours, run(other, actions))
 
 
-def test_state_continues_with_the_same_bits(tmp_path):
+@pytest.mark.parametrize("task", go1_env.TASKS)
+def test_state_continues_with_the_same_bits(tmp_path, task):
     """Resume is exact: through a file without pickles, into a fresh object, over resets and new commands."""
-    env = make(3, stagger=True, noise=1.0, episode_steps=6, command_steps=4)
+    env = make(3, task=task, stagger=True, noise=1.0, episode_steps=6, command_steps=4)
     actions = random_actions(env, 12)
     run(env, actions[:3])
     np.savez(tmp_path / "state.npz", **env.state())
@@ -553,11 +558,16 @@ def test_no_litter(tmp_path, monkeypatch):
 
 def soles(qpos):
     """Height of the four soles [m] at qpos, by MuJoCo."""
-    model = mujoco.MjModel.from_xml_path(str(go1_env.MODEL))
+    model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     return np.array([data.geom(f"{leg}_foot").xpos[2] for leg in ("FR", "FL", "RR", "RL")]) - 0.02
+
+
+def lowest(q):
+    """Height of the lowest point of each leg relative to the trunk [m], from the centres of knee and foot."""
+    return go1.leg_points(q)[..., 2].reshape(*q.shape[:-1], 4, 2).min(-1) - 0.02
 
 
 @pytest.mark.parametrize(
@@ -571,20 +581,20 @@ def soles(qpos):
 )
 def test_leg_heights_by_hand(hip, thigh, calf, right, left):
     """Links of 0.213 m, 0.08 m from hip to thigh, soles of 0.02 m; order FR, FL, RR, RL."""
-    heights = go1_env.leg_heights(np.tile([hip, thigh, calf], 4).astype(float))
+    heights = lowest(np.tile([hip, thigh, calf], 4).astype(float))
     assert heights == pytest.approx([right, left, right, left], abs=1e-12)
 
 
 def test_leg_heights_of_a_leg_that_kneels():
     """Thigh straight down, shin straight up: the knee is lowest, 0.213 + 0.02 m below the hip."""
-    assert go1_env.leg_heights(np.tile([0.0, 0.0, -np.pi], 4)) == pytest.approx([-0.233] * 4)
+    assert lowest(np.tile([0.0, 0.0, -np.pi], 4)) == pytest.approx([-0.233] * 4)
 
 
 def test_leg_heights_are_those_of_the_model():
     """The formula and go1.xml are the same robot: twelve joint angles at random, shins pointing down, any shape."""
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
     q[..., 1::3], q[..., 2::3] = abs(q[..., 1::3]), -abs(q[..., 2::3])
-    heights = go1_env.leg_heights(q)
+    heights = lowest(q)
     assert heights.shape == (2, 3, 4)
     for i in np.ndindex(2, 3):
         assert heights[i] == pytest.approx(soles([0, 0, 0, 1, 0, 0, 0, *q[i]]), abs=1e-12)
@@ -610,6 +620,15 @@ def test_leg_heights_are_those_of_the_model():
         (dict(friction=(-0.5, 0.5)), ["friction"]),
         (dict(payload=(float("nan"), 1.0)), ["payload", "nan", "1.0"]),
         (dict(payload=(-6.0, 0.0)), ["trunk"]),  # no mass would be left
+        (dict(roughness=(-0.05, 0.05)), ["roughness", "-0.05"]),
+        (dict(roughness=(0.15, 0.05)), ["roughness", "0.15", "0.05"]),
+        (dict(roughness=(float("nan"), 0.15)), ["roughness", "nan"]),
+        (dict(roughness=(0.0, float("inf"))), ["roughness", "inf"]),
+        (dict(cells_per_m=0), ["cells_per_m", "0"]),
+        (dict(octaves=0), ["octaves", "0"]),
+        (dict(tiles=0), ["tiles", "0"]),
+        (dict(cells_per_m=11), ["cells_per_m", "11"]),  # fewer than 2 points per cell: the noise would not be seen
+        (dict(cells_per_m=4, octaves=3), ["cells_per_m", "octaves", "3"]),  # 4 * 2 * 2 = 16 in the last octave
     ],
     ids=str,
 )
@@ -622,7 +641,295 @@ def test_bad_config(arguments, named):
     assert "\n" not in (message := str(error.value)) and all(part in message for part in named)
 
 
-@pytest.mark.parametrize("fields", [dict(stagger=False), dict(noise=0.0), dict(clock_hz=0.0), dict(payload=(0.0, 0.0))])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        dict(stagger=False),
+        dict(noise=0.0),
+        dict(clock_hz=0.0),
+        dict(payload=(0.0, 0.0)),
+        dict(roughness=(0.0, 0.0)),
+        dict(roughness=(0.05, 0.05), cells_per_m=10),  # the finest
+        dict(roughness=(0.0, 0.15), cells_per_m=5, octaves=2),
+    ],
+    ids=str,
+)
 def test_good_config(fields):
-    """The values that switch something off are no mistakes."""
+    """The values that switch something off, or are just allowed, are no mistakes."""
     Go1Env(1, Config(**fields))
+
+
+# ---- rough ground and maximum velocity ----
+
+
+@pytest.mark.parametrize(
+    ("task", "history", "roughness"),
+    [("flat", 5, (0.0, 0.0)), ("rough", 10, (0.0, 0.15)), ("velocity", 10, (0.05, 0.05))],
+)
+def test_paper_settings_of_a_task(task, history, roughness):
+    """V-A, V-B, V-D: H; IV-A: roughness in m. All else is as on flat ground, and a change wins over the paper."""
+    assert go1_env.task_config(task) == Config(task=task, history=history, roughness=roughness)
+    changed = go1_env.task_config(task, history=3, roughness=(0.0, 0.01), noise=0.5)
+    assert changed == Config(task=task, history=3, roughness=(0.0, 0.01), noise=0.5)
+
+
+def test_unknown_task():
+    """One line with the name and what there is to choose from."""
+    with pytest.raises(ValueError, match=r"^unknown task 'moon'.* flat, rough, velocity$"):
+        go1_env.task_config("moon")
+
+
+@pytest.mark.parametrize("task", ["rough", "velocity"])
+def test_observation_of_ten_frames(task):
+    """H = 10: 10 * 44 = 440 numbers; after actions 1, 2, 3 there are 7 older frames without any."""
+    env = make(task=task)
+    for k in (1, 2, 3):
+        obs, *_ = env.step(np.full((2, 12), float(k)))
+    assert obs.shape == (2, env.obs_size) == (2, 440) and obs.dtype == np.float32
+    assert frames(obs)[:, :, ACTION].tolist() == [[[k] * 12 for k in (*[0.0] * 7, 1.0, 2.0, 3.0)]] * 2
+
+
+@pytest.mark.parametrize(
+    ("task", "v_x", "v_y", "yaw_rate", "expected"),
+    [
+        ("rough", 1.5, 0.0, 0.0, 1.15),  # faster than asked: no error
+        ("rough", 0.5, 0.0, 0.0, exp(-1) + 0.15),
+        ("rough", 1.0, -0.5, 0.0, 1.1 + 0.05 * exp(-1)),
+        ("rough", 1.0, 0.0, 0.5, 1.05 + 0.1 * exp(-1)),
+        ("rough", 0.5, 0.5, -0.5, 1.15 * exp(-1)),
+        ("velocity", 3.0, 0.0, 0.0, 3.0),
+        ("velocity", -2.0, 0.0, 0.0, -2.0),  # running backwards costs
+        ("velocity", 3.0, 0.5, 0.0, 3 * exp(-1)),
+        ("velocity", 3.0, 0.0, -0.5, 3 * exp(-1)),
+        ("velocity", -2.0, -0.5, 0.5, -2 * exp(-2)),
+    ],
+)
+def test_reward_of_a_task(task, v_x, v_y, yaw_rate, expected):
+    """Eq. (6) for a command of 1 m/s, Eq. (7) for none, each error of 1/2 is a factor 1/e; turned by 90 degrees.
+
+    Then the robot's forward is the world's y and its left the world's -x.
+    """
+    env = make(task=task, **FROZEN)
+    place(env, quaternion=(0.5**0.5, 0, 0, 0.5**0.5), velocity=(-v_y, v_x, 0))
+    env.qvel[:, 5] = yaw_rate
+    if task == "rough":
+        env.command[:] = 1, 0, 0
+    _, reward, terminated, _, _ = still(env)
+    assert reward == pytest.approx([expected] * 2, abs=1e-6) and not terminated.any()
+
+
+def test_velocity_has_no_command():
+    """[lab code]: whatever is drawn, at resets and in between, is 0; on rough ground it is 0 to 1 m/s forward."""
+    velocity, rough = (make(64, task=task, command_steps=2, episode_steps=5) for task in ("velocity", "rough"))
+    for _ in range(7):
+        obs, _, _, _, info = still(velocity)
+        assert not frames(obs)[:, :, 3:6].any() and not info["log"]["command_x"].any()
+        obs, *_ = still(rough)
+        assert 0 <= frames(obs)[:, -1, 3].min() < 0.2 and 1.8 < frames(obs)[:, -1, 3].max() <= 2  # scale 2
+        assert not frames(obs)[:, :, 4:6].any()
+
+
+def test_roughness_of_the_tiles():
+    """16 tiles: 0, 1, ... 15 cm for `rough`, 5 cm each for `velocity`; 4 tiles: 0, 5, 10, 15 cm; none on the plane.
+
+    Measured on the heights.
+    """
+    for fields, expected in [
+        (dict(task="rough"), [k / 100 for k in range(16)]),
+        (dict(task="rough", tiles=4), [0.0, 0.05, 0.1, 0.15]),
+        (dict(task="velocity"), [0.05] * 16),
+    ]:
+        ground = (env := make(64, **fields)).ground
+        tiles = ground.heights.reshape(120, len(expected), 120)
+        assert tiles.max((0, 2)) - tiles.min((0, 2)) == pytest.approx(expected, abs=1e-12)
+        assert ground.roughness == pytest.approx(expected, abs=1e-12)
+        assert (env.tile.min(), env.tile.max()) == (0, len(expected) - 1)
+    assert make(1).ground is None
+
+
+def test_settings_of_the_noise_reach_the_ground():
+    """2 cells per metre: 0 every 10th point from the tile's corner, not every 5th as with 4; an octave adds to it."""
+    coarse, fine, both = (
+        make(1, task="velocity", **fields).ground.heights[20:100, 20:100]
+        for fields in (dict(cells_per_m=2), dict(), dict(octaves=2))
+    )
+    assert not coarse[::10, ::10].any() and coarse[5::10, 5::10].all()
+    assert not fine[::5, ::5].any() and not np.isclose(fine, both, atol=1e-3).all()
+
+
+def rays(env, points):
+    """Height of the ground [m] under the points (n, 2), by MuJoCo: a ray straight down on the floor alone."""
+    model = go1.build_model(0.005, env.ground)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    floor, hit = [1, 0, 0, 0, 0, 0], np.zeros(1, np.int32)
+    return np.array([5 - mujoco.mj_ray(model, data, [*xy, 5], [0, 0, -1], floor, 1, -1, hit) for xy in points])
+
+
+@pytest.mark.parametrize("task", ["rough", "velocity"])
+def test_mujoco_sees_the_same_ground(task):
+    """Point (i, j) of the heights is at x = 0.05 j, y = 0.05 i: not mirrored, not turned, not shifted, right scale.
+
+    2 um beside the point, so that no ray slips between two triangles.
+    """
+    env = make(1, task=task)
+    i, j = np.random.default_rng(0).integers([[119], [1919]], size=(2, 200))
+    seen = rays(env, np.stack([0.05 * j + 1e-6, 0.05 * i + 1e-6], -1))
+    assert seen == pytest.approx(env.ground.heights[i, j], abs=1e-5)
+
+
+@pytest.mark.parametrize("task", ["rough", "velocity"])
+def test_start_touches_rough_ground(task):
+    """By MuJoCo's kinematics and rays: the lowest foot or knee, a ball of 2 cm, ends within 5 mm of the ground below.
+
+    Not exactly there, because MuJoCo's ground is made of triangles. No contact is deeper than 5 mm.
+    """
+    env = make(32, task=task)
+    model = go1.build_model(0.005, env.ground)
+    data, centres = mujoco.MjData(model), []
+    for qpos in env.qpos:
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        assert data.contact.dist.min(initial=0.0) > -0.005
+        for leg in ("FR", "FL", "RR", "RL"):
+            centres += [data.geom(f"{leg}_foot").xpos.copy(), data.body(f"{leg}_calf").xpos.copy()]
+    gaps = np.array(centres)[:, 2] - 0.02 - rays(env, np.array(centres)[:, :2])
+    assert np.abs(gaps.reshape(32, 8).min(1)).max() < 0.005
+
+
+def test_start_is_anywhere_on_the_tile():
+    """The tile `index` reaches from 6 index + 1 to 6 index + 5 m in x and from 1 to 5 m in y; all 16 are used."""
+    env = make(256, task="rough")
+    xy = env.qpos[:, :2] - np.stack([6.0 * env.tile + 1, np.ones(256)], -1)
+    assert ((xy >= 0) & (xy < 4)).all() and (xy.min(0) < 0.1).all() and (xy.max(0) > 3.9).all()
+    assert sorted(set(env.tile)) == list(range(16))
+
+
+def test_tile_lasts_one_episode():
+    """IV-A.2: 16 of 32 robots end their episode at step 2 and get another ground, friction and load; 16 keep theirs."""
+    env = make(32, task="rough", episode_steps=4)
+    env.age[:16] = 2
+    tile, before = env.tile.copy(), physical(env)
+    still(env)
+    assert same_bits([tile, *before], [env.tile, *physical(env)])
+    assert still(env)[3].tolist() == [True] * 16 + [False] * 16
+    assert (env.tile[16:] == tile[16:]).all() and (env.tile[:16] != tile[:16]).sum() >= 10  # 1 in 16 draws the same
+    for old, new in zip(before, physical(env), strict=True):
+        assert (old[16:] == new[16:]).all() and (old[:16] != new[:16]).all() and len(np.unique(old)) == 32
+
+
+@pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
+@pytest.mark.parametrize(
+    ("height", "ends"),
+    [(0.44, []), (0.41, ["velocity"]), (0.21, ["flat", "rough", "velocity"])],
+    ids=["feet", "shins", "thighs"],
+)
+@pytest.mark.parametrize("task", go1_env.TASKS)
+def test_what_may_touch_the_ground(task, height, ends, roughness):
+    """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m."""
+    env = make(task=task, roughness=roughness, **FROZEN)
+    place(env, np.zeros(12), height=height)
+    _, _, terminated, truncated, info = still(env)
+    assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [task in ends] * 2
+    assert not truncated.any() and not info["log"]["ended_diverged"].any()
+
+
+@pytest.mark.parametrize("task", go1_env.TASKS)
+def test_self_contact_ends_nothing(task):
+    """Hips 0.863 rad inward: right and left thigh cross at y = 0, 0.0988 / sin(0.863) = 0.13 m down their 0.2 m.
+
+    0.04675 + 0.08 cos(0.863) = 0.0988 m is how far out a thigh begins.
+    """
+    env = make(task=task, **FROZEN)
+    place(env, np.tile([0.863, 0.8, -1.5, -0.863, 0.8, -1.5], 2))
+    _, _, terminated, _, info = still(env)
+    assert not terminated.any() and not info["log"]["ended_diverged"].any()
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"), [("flat", [17.475, 23.7, 35.55]), ("rough", [17.475, 23.7, 35.55]), ("velocity", [16.5] * 3)]
+)
+def test_torque_speed_limit_by_task(task, expected):
+    """V-D: at half its largest speed, 30.1 / 2 or 20.06 / 2 rad/s, a joint gives 33 / 2 N m, on `velocity` alone.
+
+    Action 10 asks for 20 * 1.25 - 0.5 * 15.05 = 17.475 (hips), 50 - 7.525 (thighs) and 50 - 5.015 N m (calves).
+    """
+    env = make(task=task, **FROZEN)
+    place(env, qd=np.tile([15.05, 15.05, 10.03], 4))
+    env.step(np.full((2, 12), 10.0))
+    assert env.ctrl == pytest.approx(np.tile(expected, (2, 4)), abs=1e-3)
+
+
+def test_torque_speed_limit_before_every_physics_step():
+    """Four physics steps are four times one, bit by bit, while the limit sinks with each as the joints speed up."""
+    four, one = (make(task="velocity", roughness=(0.0, 0.0), physics_steps=n) for n in (4, 1))
+    place(four), place(one)
+    action = np.full((2, 12), 4.0)
+    four.step(action)
+    for _ in range(4):
+        one.step(action)
+    assert same_bits([four.qpos, four.qvel, four.ctrl], [one.qpos, one.qvel, one.ctrl])
+
+
+@pytest.mark.parametrize(("speed", "steps"), [(3.0, 10), (1.0, 20)])
+def test_the_seam(monkeypatch, speed, steps):
+    """A robot that leaves its tile is put back and does not notice: its twin, on the same ground, stays on its own.
+
+    The twin's tiles begin 2 m further on in x and in y, as periodic ground may, so that the edge is amid the twin's
+    tile. Four robots on 5 cm run over the far and the near edge in x, the far one in y, and over a corner.
+    """
+    env = make(4, task="velocity", roughness=(0.05, 0.05))
+    amid = 20 + (np.arange(120) + 20) % 80  # 20 points of apron, 80 of tile, each 40 points on
+    heights = env.ground.heights.reshape(120, 16, 120)[amid][:, :, amid].reshape(120, -1)
+    monkeypatch.setattr(go1_env.terrain, "make_ground", lambda *_, **__: env.ground._replace(heights=heights))
+    twin = make(4, task="velocity", roughness=(0.05, 0.05))
+    heading = np.array([[1, 0], [-1, 0], [0, 1], [-(0.5**0.5), -(0.5**0.5)]])
+    corner = np.stack([6.0 * env.tile + 1, np.ones(4)], -1)
+    for world, start in (
+        (env, [[3.9, 3.0], [0.1, 3.0], [3.0, 3.9], [0.1, 0.1]]),
+        (twin, [[1.9, 1.0], [2.1, 1.0], [1.0, 1.9], [2.1, 2.1]]),
+    ):
+        place(world, height=0.34, quaternion=np.array([[1, 0, 0, 0], [0, 0, 0, 1], [0.5**0.5, 0, 0, 0.5**0.5],
+                                                       [cos(5 * pi / 8), 0, 0, sin(5 * pi / 8)]]))  # fmt: skip
+        world.qpos[:, :2], world.qvel[:, :2] = corner + start, speed * heading
+    for action in random_actions(env, steps) / 2:
+        (obs, reward, ended, _, info), (twins_obs, twins_reward, _, _, twins_info) = env.step(action), twin.step(action)
+        assert not ended.any()
+        assert obs == pytest.approx(twins_obs, abs=1e-6) and reward == pytest.approx(twins_reward, abs=1e-6)
+        assert info["cost"] == pytest.approx(twins_info["cost"], abs=1e-3)
+        assert env.qpos[:, 2:] == pytest.approx(twin.qpos[:, 2:], abs=1e-6)
+        assert env.qvel == pytest.approx(twin.qvel, abs=1e-6)
+    moved = env.qpos[:, :2] - twin.qpos[:, :2]
+    assert moved == pytest.approx(np.array([[-2, 2], [2, 2], [2, -2], [2, 2]]), abs=1e-6)  # 2 m before, all in x or y
+
+
+def test_standing_on_a_height_field():
+    """Ground of 1 um carries like a plane: soles sink in by 1 mm or, being stiffer there, less; the trunk is as high.
+
+    Within 1 cm: a foot has more contacts with triangles than the one with a plane, and so slides apart more slowly.
+    """
+    plane, field = (
+        make(2, task="rough", roughness=(high, high), friction=(0.8, 0.8), payload=(0.0, 0.0)) for high in (0.0, 1e-6)
+    )
+    for env in (plane, field):
+        place(env, height=0.34)
+        still(env, 200)
+        assert np.abs(env.qvel).max() < 0.1
+    for a, b in zip(plane.qpos, field.qpos, strict=True):
+        assert -0.0015 < soles(a).min() < soles(a).max() < 0 and soles(a) == pytest.approx(soles(b), abs=1e-3)
+    assert (plane.qpos[:, 2] > 0.2).all() and plane.qpos[:, 2] == pytest.approx(field.qpos[:, 2], abs=0.01)
+
+
+@pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
+def test_no_foot_is_caught_in_the_ground(roughness):
+    """The centre of a foot that is pressed into the ground comes out again within 0.1 s, from a height field as well.
+
+    There a centre below the surface may be nearer to the side of a prism than to its top, and is pushed along, not up.
+    """
+    env, below = make(64, task="rough", roughness=roughness), np.zeros((64, 4), int)
+    for action in random_actions(env, 100):
+        ended = env.step(action)[2]
+        up = Rotation.from_quat(env.qpos[:, 3:7], scalar_first=True).as_matrix()[:, 2]
+        centres = env.qpos[:, 2:3] + np.einsum("nj,nkj->nk", up, go1.leg_points(env.qpos[:, 7:])[:, 1::2])
+        below = np.where((centres < 0) & ~ended[:, None], below + 1, 0)
+        assert below.max() <= 5

@@ -19,12 +19,16 @@ MODULES = sorted(path.stem for path in ROOT.glob("*.py"))
 LAYERS = {
     "energy": {"numpy"},
     "rewards": {"numpy"},
+    "terrain": {"numpy", "scipy"},
     "actuators": {"numpy"},
+    "go1": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),
-    "evaluate": {"numpy", "jax"},
+    "measure": {"numpy", "jax", "scipy"},
+    "evaluate": {"numpy", "matplotlib"},
+    "play": {"numpy", "jax", "mujoco", "PIL"},
 }
 
 

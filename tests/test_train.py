@@ -101,7 +101,15 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "flags", [["--algo", "ppo"], ["--algo", "ppo", "--lam", "0"], ["--lam", "0.02", "--clip", "power"]]
+    "flags",
+    [
+        ["--algo", "ppo"],
+        ["--algo", "ppo", "--lam", "0"],
+        ["--lam", "0.02", "--clip", "power"],
+        ["--task", "rough", "--episode-steps", "8"],  # on other ground than the seed's by the time of the checkpoint
+        ["--task", "velocity", "--roughness", "0.01", "0.02"],
+    ],
+    ids=" ".join,
 )
 def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     assert run(*flags, "--iterations", 6, "--out", tmp_path / "long") == 0
@@ -109,6 +117,18 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     assert train.main(["--out", str(tmp_path / "short"), "--resume", "--iterations", "6"]) == 0
     assert rows(tmp_path / "short") == rows(tmp_path / "long")
     assert run_folder.load_config(tmp_path / "short") == run_folder.load_config(tmp_path / "long")
+
+
+@pytest.mark.parametrize(
+    "task, history, lam, iterations",
+    [("flat", 5, 0.005, 4000), ("rough", 10, 0.0002, 4000), ("velocity", 10, 0.0002, 10_000)],
+)
+def test_paper_settings_of_each_task(task, history, lam, iterations):
+    """V-A, V-B, V-D: H, the first lambda and the length of training; whatever is given wins, the rest stays."""
+    env_config, config = train.settle(dict(task=task), {})
+    assert (env_config.task, env_config.history, config.lam, config.iterations) == (task, history, lam, iterations)
+    env_config, config = train.settle(dict(task=task, history=3), dict(lam=0.5))
+    assert (env_config.task, env_config.history, config.lam, config.iterations) == (task, 3, 0.5, iterations)
 
 
 def test_threads_do_not_change_the_numbers(finished, tmp_path):
@@ -142,6 +162,8 @@ def test_threads_do_not_change_the_numbers(finished, tmp_path):
         (["--friction", "1"], "friction"),
         (["--timestep", "0"], "timestep"),
         (["--noise", "nan"], "noise"),
+        (["--roughness", "0.15", "0"], "roughness"),
+        (["--cells-per-m", "11"], "cells_per_m"),
     ],
 )
 def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, flags, says):

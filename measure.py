@@ -1,0 +1,109 @@
+"""Trained policies, measured as in Sections IV-D and V: episodes under the deterministic policy, and their statistics.
+
+Each episode keeps one command; noise, friction, payload and ground are drawn as in training, and every policy meets the
+same draws. Numbers are interquartile means with 95 % bootstrap intervals, once of the episodes of all seeds pooled, as
+in the paper, and once of the seeds, which is the honest one for three of them.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy import stats
+
+import eipo
+import go1_env
+import run_folder
+
+SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
+SLOW = 0.05  # m/s: below this speed energy per velocity says nothing
+PEAK_STEPS = 10  # 0.2 s, over which the second peak velocity is averaged (D18)
+
+
+class Episodes(NamedTuple):
+    """One number per episode, (N,) each."""
+
+    performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; after a fall 0
+    fell: np.ndarray  # bool, ended before the time limit
+    v_x: np.ndarray  # [m/s] mean body velocity while the episode lasted
+    v_x_late: np.ndarray  # [m/s] the same over the second half of the time limit, NaN if it ended before
+    power: np.ndarray  # [W] mean total power, without the survival bonus
+    energy: np.ndarray  # [J/m] power by v_x (D18), NaN for a robot that hardly moves
+    peak: np.ndarray  # [m/s] largest body velocity (D18)
+    peak_mean: np.ndarray  # [m/s] largest mean of 0.2 s
+
+
+def load(folder, num_episodes, clip=None, roughness=None, threads=0):
+    """The deterministic policy of a run folder and an environment to try it in: mean(obs) and Go1Env.
+
+    num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
+    """
+    params, config = run_folder.load_policy(Path(folder) / "policy.npz")
+    config = replace(config, stagger=False, command_steps=config.episode_steps, clip=clip or config.clip,
+                     roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
+    return jax.jit(lambda obs: eipo.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
+
+
+def steps(mean, env, command=None):
+    """One episode of every robot; yields reward, log, who was still in the episode, and who fell in this step.
+
+    command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; None: one that the task draws
+    """
+    obs, _ = env.reset(SEED, command)
+    alive = np.ones(env.num_envs, bool)
+    for _ in range(env.config.episode_steps):
+        obs, reward, terminated, truncated, info = env.step(np.asarray(mean(obs)))
+        yield reward, info["log"], alive, alive & terminated
+        alive = alive & ~(terminated | truncated)
+
+
+def run_episodes(mean, env, command=None):
+    """Episodes of every robot of env; arguments as of `steps`."""
+    limit, totals, late = env.config.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
+    recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
+    peak, peak_mean = np.full((2, env.num_envs), -np.inf)
+    for t, (reward, log, alive, falls) in enumerate(steps(mean, env, command)):
+        v_x = log["v_x"]
+        totals += np.where(alive, [reward, v_x, log["power"], np.ones(env.num_envs)], 0.0)
+        if t >= limit // 2:
+            late += np.where(alive, [v_x, np.ones(env.num_envs)], 0.0)
+        fell |= falls
+        recent[t % PEAK_STEPS] = v_x
+        peak = np.where(alive, np.maximum(peak, v_x), peak)
+        if t + 1 >= PEAK_STEPS:
+            peak_mean = np.where(alive, np.maximum(peak_mean, recent.mean(0)), peak_mean)
+    rewards, distance, spent, length = totals
+    v_x, power = distance / length, spent / length
+    nan = np.full(env.num_envs, np.nan)
+    v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
+    energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
+    return Episodes(rewards / limit, fell, v_x, v_x_late, power, energy, peak, peak_mean)
+
+
+def iqm(x, axis=None):
+    """Interquartile mean: the mean of the middle half of x, any shape and unit."""
+    return stats.trim_mean(x, 0.25, axis=axis)
+
+
+def interval(x, statistic, **options):
+    """95 % percentile bootstrap interval (low, high) of a statistic of x: (n,); NaN if n is 1, where there is none."""
+    if len(x) < 2:
+        return np.nan, np.nan
+    rng = np.random.default_rng(SEED)
+    return stats.bootstrap(
+        (x,), statistic, method="percentile", n_resamples=2000, rng=rng, **options
+    ).confidence_interval
+
+
+def summarise(name, by_seed):
+    """IQM and both intervals as columns of a CSV. by_seed: list of (episodes,), one per seed; NaN is left out."""
+    by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
+    columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high")]
+    if not by_seed:
+        return dict.fromkeys(columns, np.nan)
+    pooled, seeds = np.concatenate(by_seed), np.arange(len(by_seed))
+    over_episodes = interval(pooled, iqm, batch=100)
+    over_seeds = interval(seeds, lambda drawn: iqm(np.concatenate([by_seed[i] for i in drawn])), vectorized=False)
+    return dict(zip(columns, (iqm(pooled), *over_episodes, *over_seeds), strict=True))

@@ -1,0 +1,172 @@
+"""Look at a policy: `python play.py RUN` opens MuJoCo's viewer, `python play.py RUN --gif FILE` needs no display.
+
+In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s of yaw rate;
+backspace sets it to 0. With --follow the robot gets every new policy that a run saves while it trains.
+"""
+
+import argparse
+import ctypes.util
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+if HEADLESS:  # MuJoCo decides how to draw when it is imported
+    os.environ.setdefault("MUJOCO_GL", "egl" if ctypes.util.find_library("EGL") else "osmesa")
+
+import jax
+import mujoco
+import mujoco.viewer
+import numpy as np
+from PIL import Image, ImageDraw
+
+import eipo
+import go1
+import go1_env
+import run_folder
+import terrain
+
+KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
+BACKSPACE = 259
+SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
+AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is on the middle one
+
+
+def make_env(config, roughness=None):
+    """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
+    level = config.roughness[1] if roughness is None else roughness
+    forever = dict(episode_steps=10**9, command_steps=10**9, stagger=False)
+    return go1_env.Go1Env(1, replace(config, roughness=(level, level), tiles=1, **forever), threads=1)
+
+
+def make_scene(env):
+    """Model and data to draw env with: the ground goes on as far as one can see, but only the robot's tile is real."""
+    ground = env.ground
+    if ground is not None:
+        margin = round(terrain.APRON / terrain.SPACING)
+        ground = ground._replace(heights=np.tile(ground.heights[margin:-margin, margin:-margin], (AROUND, AROUND)))
+    model = go1.build_model(env.config.timestep, ground)
+    return model, mujoco.MjData(model)
+
+
+def show(env, model, data):
+    """Put the drawn robot where the simulated one is."""
+    data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
+    if env.ground is not None:
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.tile[0])
+    mujoco.mj_forward(model, data)
+
+
+def point(camera, env, model):
+    """Let a camera follow the trunk, from the front right of where the robot heads now."""
+    w, x, y, z = env.qpos[0, 3:7]
+    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
+    camera.distance, camera.elevation = 1.7, -20.0
+    camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def play(env, folder, command, follow=False):
+    """Run the deterministic policy of a run folder forever; yields the log of each control step (see Go1Env.step).
+
+    command: (3,) [m/s, m/s, rad/s], which the caller may change in place; follow: load each new policy.npz
+    """
+    path, loaded = Path(folder) / "policy.npz", None
+    mean = jax.jit(lambda params, obs: eipo.policy(params, obs)[0])
+    obs, _ = env.reset(0, command)
+    while True:
+        if loaded is None or (follow and path.stat().st_mtime != loaded):
+            loaded, params = path.stat().st_mtime, run_folder.load_policy(path)[0]
+        env.command[:] = command
+        obs, _, _, _, info = env.step(np.asarray(mean(params, obs)))
+        yield info["log"]
+
+
+def caption(log, command):
+    """What the robot is asked to do and does, in one line."""
+    asked = f"asked {command[0]:.1f} m/s   " if command.any() else ""
+    return f"{asked}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
+
+
+def save_gif(path, env, steps, seconds, command):
+    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
+    model, data = make_scene(env)
+    period = env.config.timestep * env.config.physics_steps
+    images, camera = [], mujoco.MjvCamera()
+    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+        for i, log in zip(range(round((1 + seconds) / period)), steps, strict=False):
+            if i * period < 1 or i % STEPS_PER_FRAME:
+                continue
+            if not images:
+                point(camera, env, model)
+            show(env, model, data)
+            renderer.update_scene(data, camera)
+            image = Image.fromarray(renderer.render())
+            ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
+            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames: smaller
+            images.append(image.quantize(dither=Image.Dither.NONE, **palette))
+    duration = round(1000 * period * STEPS_PER_FRAME)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def watch(env, steps, command):
+    """The viewer, in real time, until its window is closed."""
+
+    def on_key(key):
+        command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
+
+    model, data = make_scene(env)
+    period = env.config.timestep * env.config.physics_steps
+    with mujoco.viewer.launch_passive(
+        model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
+    ) as viewer:
+        point(viewer.cam, env, model)
+        while viewer.is_running():
+            start = time.monotonic()
+            log = next(steps)
+            with viewer.lock():
+                show(env, model, data)
+            yaw = f"   yaw {command[2]:.1f} rad/s" if command[2] else ""
+            viewer.set_texts((None, None, caption(log, command) + yaw, None))
+            viewer.sync()
+            time.sleep(max(0.0, period - (time.monotonic() - start)))
+
+
+def main(argv):
+    """Play or draw; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", help="run folder with a policy.npz")
+    parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
+    parser.add_argument("--command", type=float, nargs=3, metavar=("VX", "VY", "YAW"),
+                        help="m/s, m/s, rad/s (default: the task's greatest)")  # fmt: skip
+    parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
+    parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
+    args = parser.parse_args(argv)
+    try:
+        _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
+        env = make_env(config, args.roughness)
+        command = np.array(env.task.command_high if args.command is None else args.command, float)
+        steps = play(env, args.run, command, args.follow)
+        if args.gif:
+            save_gif(args.gif, env, steps, args.seconds, command)
+        elif HEADLESS:
+            raise ValueError("there is no display to open a window on: add --gif FILE")
+        else:
+            watch(env, steps, command)
+    except KeyboardInterrupt:
+        return 130
+    except (ImportError, AttributeError, mujoco.FatalError) as error:
+        print(
+            f"play.py: OpenGL does not work ({error}): install libegl1 or libosmesa6, or set MUJOCO_GL", file=sys.stderr
+        )
+        return 2
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

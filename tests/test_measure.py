@@ -1,0 +1,111 @@
+"""What evaluate.py counts: episodes of a scripted robot and statistics whose values are known by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import go1_env
+import measure
+
+
+class Scripted:
+    """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot 2 hardly moves.
+
+    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 1/32; power 8 W times the
+    number of the robot plus 1; reward 0.5, after robot 1's fall still, because the next episode has begun.
+    """
+
+    num_envs, config = 3, SimpleNamespace(episode_steps=20)
+
+    def reset(self, seed, command=None):
+        self.t = 0
+        return np.zeros((3, 1)), {}
+
+    def step(self, action):
+        self.t += 1
+        log = dict(v_x=np.array([self.t, 2.0, 1 / 32]), power=np.array([8.0, 16.0, 24.0]))
+        terminated = np.array([False, self.t == 3, False])
+        truncated = np.array([self.t == 20, False, self.t == 20])
+        return np.zeros((3, 1)), np.full(3, 0.5), terminated, truncated, dict(log=log)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return measure.run_episodes(lambda obs: obs, Scripted())
+
+
+def test_performance_counts_early_ends_as_zeros(episodes):
+    """Section V-A: 20 steps of 0.5 by a limit of 20 are 0.5; robot 1 has 3 of them, 1.5 / 20 = 0.075."""
+    assert episodes.performance.tolist() == [0.5, 0.075, 0.5]
+    assert episodes.fell.tolist() == [False, True, False]
+
+
+def test_velocity_power_and_energy_are_of_the_first_episode(episodes):
+    """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2 is too slow."""
+    assert episodes.v_x.tolist() == [10.5, 2.0, 1 / 32] and episodes.power.tolist() == [8.0, 16.0, 24.0]
+    assert episodes.energy[:2].tolist() == [8 / 10.5, 8.0] and np.isnan(episodes.energy[2])
+
+
+def test_late_velocity_is_of_the_second_half(episodes):
+    """Robot 0: (11 + ... + 20) / 10 = 15.5 m/s; robot 1 fell before."""
+    assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 1 / 32] and np.isnan(episodes.v_x_late[1])
+
+
+def test_peak_velocity(episodes):
+    """D18. Robot 0: 20 m/s, as a mean of its last ten steps 15.5; robot 1 fell before it had ten."""
+    assert episodes.peak.tolist() == [20.0, 2.0, 1 / 32]
+    assert episodes.peak_mean.tolist() == [15.5, -np.inf, 1 / 32]
+
+
+def test_commands_are_kept_and_seen_from_the_first_frame():
+    """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so (scale 2)."""
+    env = go1_env.Go1Env(2, go1_env.task_config("flat", noise=0.0, stagger=False, episode_steps=3, command_steps=3), 1)
+    seen = []
+
+    def mean(obs):
+        seen.append(obs.reshape(2, 5, 44)[:, :, 3])
+        return np.zeros((2, 12))
+
+    asked = [log["command_x"] for _, log, _, _ in measure.steps(mean, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))]
+    assert np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3 and np.array(asked).tolist() == [[0.25, 0.75]] * 3
+
+
+def test_iqm_by_hand():
+    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it."""
+    assert (
+        measure.iqm(np.array([7.0, 1, 2, 3, 4, 5, 6, 0])) == measure.iqm(np.array([1000.0, 1, 2, 3, 4, 5, 6, 0])) == 3.5
+    )
+
+
+def test_summarise_by_hand():
+    """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
+    row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])])
+    assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high"]
+    assert row["x"] == 3.5 and (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
+    assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
+
+
+def test_summarise_without_an_interval():
+    """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing finite is NaN."""
+    row = measure.summarise("x", [np.full(8, 2.0)])
+    assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(row["x_seeds_low"])
+    assert all(np.isnan(list(measure.summarise("x", [np.array([np.nan])]).values())))
+
+
+def test_interval_covers_the_truth():
+    """Of 40 samples of a normal with IQM 0, about 38 of the 95 % intervals hold it."""
+    rng = np.random.default_rng(0)
+    intervals = [measure.interval(rng.normal(size=50), measure.iqm, batch=100) for _ in range(40)]
+    assert 34 <= sum(low < 0 < high for low, high in intervals) <= 40
+
+
+def test_iqm_and_interval_agree_with_rliable():
+    """The library of the paper's reference [31], for three seeds of eight episodes; it draws its own resamples."""
+    rly, metrics = pytest.importorskip("rliable.library"), pytest.importorskip("rliable.metrics")
+    x = np.random.default_rng(0).normal(size=(3, 8))
+    aggregate = lambda y: np.array([metrics.aggregate_iqm(y)])  # noqa: E731
+    point, bounds = rly.get_interval_estimates({"x": x.reshape(-1, 1)}, aggregate, reps=4000)
+    row = measure.summarise("x", list(x))
+    assert row["x"] == pytest.approx(point["x"][0])
+    assert (row["x_low"], row["x_high"]) == pytest.approx(tuple(bounds["x"][:, 0]), abs=0.1)

@@ -1,0 +1,236 @@
+"""Perlin noise and the ground made of it, by hand. Numbers are sums of powers of 2, so that == means what it says."""
+
+import numpy as np
+import pytest
+
+import terrain
+from terrain import Ground, fade, height, make_ground, octaves_of_perlin, origin, perlin, random_gradients, tile, wrap
+
+# of the lattice points (0, 0), (0, 1) and (1, 0), (1, 1): no two components alike
+GRADIENTS = np.array([[[1.0, 3.0], [7.0, -4.0]], [[-2.0, 5.0], [6.0, -9.0]]])
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def block(ground, index):
+    """The heights of a tile and its apron, 4 + 2 * 1 m: 120 points each way, of which 20 to 99 are the tile."""
+    return ground.heights[:, 120 * index : 120 * (index + 1)]
+
+
+# ---- noise ----
+
+
+@pytest.mark.parametrize(("t", "value"), [(0.0, 0.0), (0.25, 0.103515625), (0.5, 0.5), (0.75, 0.896484375), (1.0, 1.0)])
+def test_fade_by_hand(t, value):
+    """1/4: (1/64) (1/4 (6/4 - 15) + 10) = 6.625 / 64; 1/2: (1/8) (1/2 (3 - 15) + 10) = 4 / 8; 3/4: 57.375 / 64."""
+    assert fade(t) == value
+
+
+def test_fade_is_flat_at_both_ends():
+    """10 h^3 - 15 h^4 + 6 h^5 from either end: less than 10 h^3, where a slope would leave h and a curvature h^2."""
+    h = 2.0**-10
+    assert 0 < fade(h) < 10 * h**3 and 0 < 1 - fade(1 - h) < 10 * h**3
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "value"),
+    [
+        (0.5, 0.5, 3.125),  # planes 1/2 + 3/2, 1 + 5/2, 7/2 + 2, -3 + 9/2: the mean of 2, 3.5, 5.5, 1.5
+        (0.25, 0.0, 0.37939453125),  # (1 - s) 1/4 + s (-3/4) (-2) = 0.25 + 1.25 s
+        (0.0, 0.25, 0.98291015625),  # (1 - s) 3/4 + s (-3/4) (-4) = 0.75 + 2.25 s
+        (0.25, 0.5, 2.67236328125),  # planes 1.75, 4, 3.75, 0: the mean of 1.75 + 2.25 s and 3.75 - 3.75 s
+        (1.25, 0.0, -0.52587890625),  # next cell, whose far corner is the first again: (1 - s) (-1/2) + s (-3/4)
+        (-0.75, 0.0, -0.52587890625),  # the same one, two cells before
+    ],
+)
+def test_perlin_by_hand(x, y, value):
+    """A corner's plane is gradient * (x - corner); 1/4 from a corner the next one weighs s = fade(1/4) = 0.103515625.
+
+    At the centre of a cell every fade is 1/2, so that the four planes weigh alike.
+    """
+    assert perlin(np.array(x), np.array(y), GRADIENTS) == value
+
+
+def test_perlin_is_zero_on_the_lattice():
+    """Every plane goes through 0 at its corner, and the other corners do not count there: the size of a feature."""
+    x, y = np.meshgrid(np.arange(-4.0, 5.0), np.arange(-4.0, 5.0))
+    assert not perlin(x, y, GRADIENTS).any()
+
+
+def test_perlin_is_periodic():
+    """3 x 5 gradients repeat after 3 cells in x and 5 in y, bit by bit, and neither the other way round nor earlier."""
+    gradients = rng().normal(size=(3, 5, 2))
+    x, y = np.meshgrid(np.arange(-64, 64) / 16, np.arange(-64, 64) / 16, indexing="ij")
+    noise = perlin(x, y, gradients)
+    assert (perlin(x + 3, y, gradients) == noise).all() and (perlin(x, y + 5, gradients) == noise).all()
+    assert (perlin(x - 6, y - 5, gradients) == noise).all()
+    for dx, dy in [(1, 0), (2, 0), (5, 0), (0, 1), (0, 2), (0, 3), (0, 4)]:
+        assert (perlin(x + dx, y + dy, gradients) != noise).mean() > 0.9
+
+
+def test_octaves_by_hand():
+    """At (1/8, 0) three octaves over the same lattice: noise at 1/8, half that at 1/4, a quarter of that at 1/2.
+
+    fade(1/8) = 8.21875 / 512 = 0.01605224609375, and 1/8 + 1.625 times that = 0.15108489990234375; at 1/4 see above;
+    at 1/2 it is (1/2 + 1) / 2 = 0.75. Sum: 0.15108489990234375 + 0.37939453125 / 2 + 0.75 / 4.
+    """
+    assert octaves_of_perlin(np.array(0.125), np.array(0.0), [GRADIENTS] * 3) == 0.52828216552734375
+    assert octaves_of_perlin(np.array(0.125), np.array(0.0), [GRADIENTS]) == 0.15108489990234375
+
+
+def test_random_gradients():
+    """A lattice of unit vectors, each with a direction of its own, all around: their mean is near 0."""
+    gradients = random_gradients(rng(), 16)
+    assert gradients.shape == (16, 16, 2) and len(np.unique(gradients.reshape(-1, 2), axis=0)) == 256
+    assert np.hypot(*gradients.T) == pytest.approx(1.0, abs=1e-12)
+    assert np.abs(gradients.mean((0, 1))).max() < 0.15
+
+
+# ---- a tile ----
+
+
+@pytest.mark.parametrize("roughness", [1e-6, 0.05, 0.15])
+@pytest.mark.parametrize("octaves", [1, 2])
+def test_roughness_is_peak_to_peak(roughness, octaves):
+    """IV-A: from the deepest to the highest of the 80 x 80 points of 4 m; the mean stays near 0."""
+    heights = tile(rng(), roughness, octaves=octaves)
+    assert heights.shape == (80, 80)
+    assert heights.max() - heights.min() == pytest.approx(roughness, rel=1e-12)
+    assert abs(heights.mean()) < 0.05 * roughness
+
+
+def test_roughness_zero_is_flat():
+    """The smoothest tile of the task `rough` is a floor."""
+    assert not tile(rng(), 0.0).any()
+
+
+@pytest.mark.parametrize(("cells_per_m", "points"), [(1, 20), (2, 10), (4, 5), (5, 4)])
+def test_feature_size(cells_per_m, points):
+    """4 cells per metre, points 0.05 m apart: the noise is 0 at every fifth point each way, and nowhere else."""
+    for octaves in (1, 2):
+        heights = tile(rng(), 0.15, cells_per_m, octaves)
+        assert not heights[::points, ::points].any()
+    heights = tile(rng(), 0.15, cells_per_m)
+    assert np.count_nonzero(heights) == 80 * 80 - (4 * cells_per_m) ** 2
+
+
+def test_lattices_of_a_tile(monkeypatch):
+    """4 m, 4 cells per metre: 16 gradients each way, then 32: no octave repeats itself within its tile."""
+    made = []
+    monkeypatch.setattr(terrain, "random_gradients", lambda rng, n: made.append(n) or rng.normal(size=(n, n, 2)))
+    tile(rng(), 0.15, octaves=2)
+    assert made == [16, 32]
+
+
+# ---- the ground ----
+
+
+def test_make_ground():
+    """Three tiles in a row along x, 120 x 360 points, each with the roughness asked for, in that order."""
+    ground = make_ground([0.0, 0.05, 0.15])
+    assert ground.heights.shape == (120, 360) and ground.roughness.tolist() == [0.0, 0.05, 0.15]
+    assert [np.ptp(block(ground, k)) for k in range(3)] == pytest.approx([0.0, 0.05, 0.15], rel=1e-12)
+
+
+def test_make_ground_is_reproducible():
+    """A resumed run, or both policies of one, find the same ground; another seed makes another, and so do settings."""
+    ground = make_ground([0.05, 0.05])
+    assert (make_ground([0.05, 0.05]).heights == ground.heights).all()
+    for other in (dict(seed=1), dict(cells_per_m=2), dict(octaves=2)):
+        assert (make_ground([0.05, 0.05], **other).heights != ground.heights).mean() > 0.9
+
+
+def test_tiles_differ():
+    """Each tile has noise of its own: the robots learn no one piece of ground by heart."""
+    ground = make_ground([0.05] * 3)
+    for i, j in [(0, 1), (0, 2), (1, 2)]:
+        assert (block(ground, i) != block(ground, j)).mean() > 0.9
+
+
+@pytest.mark.parametrize("octaves", [1, 2])
+def test_apron_is_the_tile_again(octaves):
+    """Within a tile and its apron of 1 m what lies 4 m apart, 80 points, is alike, bit by bit, in x and y."""
+    ground = make_ground([0.05, 0.15], octaves=octaves)
+    for part in (block(ground, 0), block(ground, 1)):
+        assert (part[:, :40] == part[:, 80:]).all() and (part[:40] == part[80:]).all()
+
+
+def test_ground_has_no_step_at_the_edge_of_a_tile():
+    """With 20 points per cell the ground is smooth: its bend at the tile's edges is no sharper than elsewhere.
+
+    A tile that is not periodic bends by its whole step there. Points 20 and 100 are the tile's edges; the bend at c
+    is h[c - 1] - 2 h[c] + h[c + 1].
+    """
+    ground = make_ground([0.15] * 4, cells_per_m=1)
+    for heights in (block(ground, 0), block(ground, 3), block(ground, 0).T, block(ground, 3).T):
+        bend = np.abs(np.diff(heights, 2, axis=1)).max(0)  # of the points 1 to 118
+        assert bend[[18, 19, 98, 99]].max() <= bend[22:96].max() < 0.01
+
+
+# ---- places ----
+
+
+def test_origin_by_hand():
+    """A tile every 4 + 2 * 1 m along x, each behind its apron of 1 m."""
+    assert origin(np.array([0, 1, 15])).tolist() == [[1.0, 1.0], [7.0, 1.0], [91.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("xy", "index", "place"),
+    [
+        ((2.0, 3.0), 0, (2.0, 3.0)),  # inside
+        ((1.0, 1.0), 0, (1.0, 1.0)),  # the near edges belong to the tile,
+        ((5.0, 5.0), 0, (1.0, 1.0)),  # the far ones are the near ones again
+        ((5.25, 2.0), 0, (1.25, 2.0)),  # just past the far edge
+        ((2.0, 0.75), 0, (2.0, 4.75)),  # just before the near one
+        ((13.5, 2.0), 0, (1.5, 2.0)),  # three tiles on
+        ((2.0, -10.0), 0, (2.0, 2.0)),  # three tiles back
+        ((17.25, 0.5), 2, (13.25, 4.5)),  # tile 2 reaches from 13 to 17, both at once
+        ((2.0, 2.0), 2, (14.0, 2.0)),  # it is this tile's ground that counts, not the one below
+    ],
+)
+def test_wrap_by_hand(xy, index, place):
+    """Whole tiles of 4 m are added or taken until x is in [6 index + 1, 6 index + 5) and y in [1, 5)."""
+    assert wrap(np.array(xy), np.array(index)).tolist() == list(place)
+
+
+def test_wrap_many():
+    """Every robot within its own tile."""
+    xy = np.array([[5.25, 2.0], [5.25, 2.0]])
+    assert wrap(xy, np.array([0, 1])).tolist() == [[1.25, 2.0], [9.25, 2.0]]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "value"),
+    [
+        (0.0, 0.0, 0.0),
+        (0.1, 0.0, 4.0),  # two points along x
+        (0.05, 0.05, 8.0),
+        (0.025, 0.0, 0.5),  # halfway from 0 to 1
+        (0.05, 0.025, 4.5),  # from 1 to 8
+        (0.025, 0.025, 2.75),  # amid 0, 1, 2, 8
+        (0.0875, 0.05, 14.0),  # three quarters from 8 to 16
+    ],
+)
+def test_height_by_hand(x, y, value):
+    """Points 0.05 m apart, x along a row, y from row to row: their own height there, the mean halfway."""
+    ground = Ground(np.array([[0.0, 1.0, 4.0], [2.0, 8.0, 16.0]]), np.zeros(1))
+    assert height(ground, np.array([x, y])) == pytest.approx(value, abs=1e-12)
+
+
+def test_height_of_any_shape():
+    """Robots x legs at once, none mixed up: height 1 m per metre in x, 2 in y."""
+    ground = Ground(0.05 * np.arange(5) + 0.1 * np.arange(4)[:, None], np.zeros(1))
+    xy = rng().uniform(0, 0.15, (2, 3, 2))
+    assert height(ground, xy) == pytest.approx(xy[..., 0] + 2 * xy[..., 1], abs=1e-12)
+
+
+def test_height_survives_wrap():
+    """A robot that is put back finds the ground it was on, wherever on the tile or on its apron it stood."""
+    ground, index = make_ground([0.05, 0.15, 0.1]), rng().integers(3, size=1000)
+    xy = rng(1).uniform(-1.0, 4.9, (1000, 2)) + np.stack([6.0 * index + 1, np.ones(1000)], -1)
+    back = wrap(xy, index)
+    assert (np.abs(back - xy).max(-1) > 3).mean() > 0.3
+    assert height(ground, back) == pytest.approx(height(ground, xy), abs=1e-12)
