@@ -24,6 +24,7 @@ LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 TABLE1 = dict(zip(("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)),
                   (2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37), strict=True))  # m/s  # fmt: skip
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#7F7F7F", "#8C6D31", "#BCBD22")
+ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # m/s, commands of Figs. 2 to 4
 
 
@@ -46,12 +47,13 @@ def by_label(folders, task):
     return {name: list(groups[name].values()) for name in order}
 
 
-def by_command(folders, task, commands, columns, args, roughness=None):
+def by_command(folders, task, commands, columns, args):
     """Rows of a CSV: for each kind of run and each command, IQM and intervals of the named columns of Episodes.
 
     commands: (n, 3); every run plays about args.episodes episodes, equally many of each command
     """
     each = max(1, args.episodes // len(commands))
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
     rows = []
     for name, runs in by_label(folders, task).items():
         loaded = [measure.load(folder, each * len(commands), args.clip, roughness) for folder in runs]
@@ -96,7 +98,7 @@ def fig2(folders, args):
 
 def fig3(folders, args):
     """The same on rough ground of 15 cm. Section V-B."""
-    rows = by_command(folders, "rough", FORWARD, ("performance", "energy"), args, roughness=0.15)
+    rows = by_command(folders, "rough", FORWARD, ("performance", "energy"), args)
     return rows, draw_panels(rows, [("rough", "performance", "task performance"), ("rough", "energy", "energy [J/m]")])
 
 
@@ -105,7 +107,7 @@ def fig4(folders, args):
     present = {run_folder.load_config(Path(folder))[0].task for folder in folders} & {"flat", "rough"}
     rows = []
     for task in sorted(present):
-        rows += by_command(folders, task, FORWARD, ("performance",), args, roughness=0.15 if task == "rough" else None)
+        rows += by_command(folders, task, FORWARD, ("performance",), args)
     return rows, draw_panels(rows, [(task, "performance", f"task performance, {task}") for task in sorted(present)])
 
 
@@ -134,7 +136,7 @@ def fig6(folders, args):
     for name, runs in by_label(folders, "velocity").items():
         series = []
         for folder in runs:
-            played = measure.steps(*measure.load(folder, args.episodes, args.clip))
+            played = measure.steps(*measure.load(folder, args.episodes, args.clip, args.roughness))
             series.append([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played][4::10])
         rows += [dict(task="velocity", run=name, time=0.1 + 0.2 * i, seeds=len(runs), episodes=args.episodes)
                  | measure.summarise("v_x", at) for i, at in enumerate(zip(*series, strict=True))]  # fmt: skip
@@ -220,7 +222,9 @@ def main(argv):
     parser.add_argument("--out", default=".", type=Path, help="folder for the PNG and the CSV (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
-    parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; figs. 3, 4: 0.15)")
+    parser.add_argument(
+        "--roughness", type=float, help="m, of the ground (default: as in training, but 0.15 for figures of rough)"
+    )
     args = parser.parse_args(argv)
     try:
         if args.commands is not None:

@@ -1,5 +1,6 @@
 """Where the time goes: `python tests/bench.py`. Prints ratios, each of two things measured in turn in this one run.
 
+    tasks         a step of the other tasks, on rough ground, against one of `flat`
     environment   Go1Env.step against a bare mujoco.batch loop that applies the same torques to the same states
     update        ppo_update against a large float32 matrix product, in FLOP of the networks (forward 1, backward 2)
     iteration     shares of physics, policy, host and update; steps/s of PPO and EIPO; memory
@@ -12,6 +13,7 @@ import contextlib
 import resource
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -40,9 +42,24 @@ def seconds(*functions):
     return times.min(0)
 
 
+def bench_tasks(num_envs, threads, steps=25):
+    """Cost of a step of each task relative to `flat`, for robots that hold themselves up; prints it."""
+    actions = 0.3 * np.random.default_rng(0).normal(size=(steps, num_envs, 12))
+
+    def run(env):
+        env.reset(0)
+        for action in actions:
+            env.step(action)
+
+    envs = [go1_env.Go1Env(num_envs, go1_env.task_config(task, stagger=False), threads) for task in go1_env.TASKS]
+    times = seconds(*(partial(run, env) for env in envs))
+    costs = (f"{task} {t / times[0]:.2f}" for task, t in zip(go1_env.TASKS, times, strict=True))
+    print(f"tasks        cost of a step relative to flat: {', '.join(costs)} (aim 2)")
+
+
 def bench_environment(num_envs, threads, steps=25):
-    """Rate of Go1Env.step relative to the bare loop; prints both."""
-    config = go1_env.Config(stagger=False)
+    """Rate of Go1Env.step on `flat`, where no episode ends so soon, relative to the bare loop; prints both."""
+    config = go1_env.task_config("flat", stagger=False)
     env, bare = go1_env.Go1Env(num_envs, config, threads), go1_env.Go1Env(num_envs, config, threads)
     env.reset(0)
     actions = 0.3 * np.random.default_rng(0).normal(size=(steps, num_envs, 12))
@@ -73,10 +90,10 @@ def bench_environment(num_envs, threads, steps=25):
     )
 
 
-def bench_update(num_envs, threads):
+def bench_update(task, num_envs, threads):
     """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
     cfg = eipo.Config(algo="ppo", num_envs=num_envs)
-    env = go1_env.Go1Env(num_envs, threads=threads)
+    env = go1_env.Go1Env(num_envs, go1_env.task_config(task), threads)
     sizes = env.obs_size, env.privileged_size, env.action_size
     key = jax.random.key(0)
     learner = [eipo.init_learner(key, sizes, 2, cfg)]
@@ -99,7 +116,7 @@ def bench_update(num_envs, threads):
     )
 
 
-def bench_iteration(algo, num_envs, threads, iterations=6):
+def bench_iteration(algo, task, num_envs, threads, iterations=6):
     """Shares of an iteration and steps/s; prints them."""
     spent = {}
 
@@ -115,7 +132,8 @@ def bench_iteration(algo, num_envs, threads, iterations=6):
         return mock.patch.object(owner, function, wrapped)
 
     policies = 2 if algo == "eipo" else 1
-    envs = [go1_env.Go1Env(num_envs // policies, threads=threads) for _ in range(policies)]
+    env_config = go1_env.task_config(task)
+    envs = [go1_env.Go1Env(num_envs // policies, env_config, threads) for _ in range(policies)]
     cfg = eipo.Config(algo=algo, num_envs=num_envs, iterations=3 + iterations)
     with contextlib.ExitStack() as stack:
         for env in envs:
@@ -136,11 +154,13 @@ def bench_iteration(algo, num_envs, threads, iterations=6):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--task", choices=go1_env.TASKS, default="flat")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0, help="of the physics; 0 takes every core")
     args = parser.parse_args()
+    bench_tasks(args.num_envs, args.threads)
     bench_environment(args.num_envs, args.threads)
-    bench_update(args.num_envs, args.threads)
+    bench_update(args.task, args.num_envs, args.threads)
     for algo in ("ppo", "eipo"):
-        bench_iteration(algo, args.num_envs, args.threads)
+        bench_iteration(algo, args.task, args.num_envs, args.threads)
     print(f"memory       {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most (aim 2)")

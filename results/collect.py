@@ -1,4 +1,4 @@
-"""Collect finished runs into this folder: `python results/flat/collect.py RUN...`, from the project's root.
+"""Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
 For each run: config.json, every tenth row of metrics.csv, and policy.npz for EIPO. Then curves.png, from what was
 collected: task reward, speed, power and alpha over environment steps, each a running mean of 100 iterations.
@@ -13,14 +13,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
-PANELS = dict(reward="task reward per step (Eq. 5)", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by colour-blind readers
+PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73")  # told apart by colour-blind readers
 
 
-def collect(run):
+def collect(run, into):
     """Copy what is worth keeping of one run."""
-    to = HERE / run.name
-    to.mkdir(exist_ok=True)
+    to = into / run.name
+    to.mkdir(parents=True, exist_ok=True)
     shutil.copy(run / "config.json", to)
     header, *rows = (run / "metrics.csv").read_text().splitlines()
     (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
@@ -40,7 +40,7 @@ def smooth(x):
     return np.convolve(x, np.full(10, 0.1), mode="valid")
 
 
-def draw(folders):
+def draw(folders, into):
     """curves.png, one line per run; the dotted lines are pi' of EIPO."""
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
@@ -49,16 +49,18 @@ def draw(folders):
             steps = smooth(c["steps"]) / 1e6
             for column, style in ((name, "-"), ("prime_" + name, ":")):
                 if column in c and np.isfinite(c[column]).any() and not (name == "alpha" and "gap" not in c):
-                    label = folder.name.replace("flat-", "").replace("-seed0", "") + (" (pi')" if style == ":" else "")
+                    label = folder.name.removeprefix(f"{into.name}-").removesuffix("-seed0")
+                    label += " (pi')" if style == ":" else ""
                     axes.plot(steps, smooth(c[column]), style, color=colour, label=label)
         axes.set(title=title, xlabel="million environment steps")
         axes.grid(alpha=0.3)
     figure.axes[2].set_yscale("log")
     figure.axes[0].legend()
-    figure.savefig(HERE / "curves.png", dpi=110)
+    figure.savefig(into / "curves.png", dpi=110)
 
 
 if __name__ == "__main__":
-    for run in map(Path, sys.argv[1:]):
-        collect(run)
-    draw(sorted(path.parent for path in HERE.glob("*/metrics.csv")))
+    into, *runs = HERE / sys.argv[1], *map(Path, sys.argv[2:])
+    for run in runs:
+        collect(run, into)
+    draw(sorted(path.parent for path in into.glob("*/metrics.csv")), into)
