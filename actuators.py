@@ -20,6 +20,16 @@ def pd_torque(target, q, qd):
     return KP * (target - q) - KD * qd
 
 
+def motor_model(target, q, qd):
+    """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
+
+    target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
+    Deviation D11: the paper's network is not public. This is a fit of the lab's published one, which acts like a
+    PD controller with 0.2 more damping and a torque-speed limit; a network can take the place of this function.
+    """
+    return KP * (target - q) - (KD + 0.2) * qd
+
+
 def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 

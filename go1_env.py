@@ -19,18 +19,25 @@ all of them are the first one. Only quantities that the robot can measure:
 
 Joints and legs: FR, FL, RR, RL x hip, thigh, calf. Scales and noise are the lab's (D5).
 
-What differs between the tasks and what does not; `task_config` makes the Config with the paper's values:
+What differs between the tasks; `task_config` makes the Config with the paper's values:
 
-|                   | flat                    | rough         | velocity     | source                               |
-|-------------------|-------------------------|---------------|--------------|--------------------------------------|
-| reward            | Eq. (5)                 | Eq. (6)       | Eq. (7)      | [IV-A]                               |
-| command v_x       | 0 to 1 m/s              | 0 to 1 m/s    | 0            | [V-A]; velocity: [lab code]          |
-| history H         | 5                       | 10            | 10           | [V-A], [V-B], [V-D]                  |
-| roughness         | 0                       | 0 to 15 cm    | 5 cm         | [IV-A], drawn per episode            |
-| a fall: ground at | trunk, hip, thigh       | as flat       | all but feet | D13; velocity: [IV-A.3]              |
-| torque by speed   | no                      | no            | yes          | [V-D], before every physics step     |
-| noise             | as above                | as flat       | as flat      | [lab code]                           |
-| drawn per episode | friction 0.5 - 1.25, trunk +- 1 kg | as flat | as flat | [ours]                          |
+|                   | flat              | rough      | velocity     | curriculum                  | source            |
+|-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
+| reward            | Eq. (5)           | Eq. (6)    | Eq. (7)      | Eq. (8)                     | [IV-A]            |
+| command v_x       | 0 to 1 m/s        | as flat    | 0            | `curriculum.py`             | [V-A], [lab code] |
+| history H         | 5                 | 10         | 10           | 10 (D24)                    | [V-A, B, D]       |
+| roughness         | 0                 | 0 to 15 cm | 5 cm         | 0 to 5 cm                   | [IV-A]            |
+| a fall: ground at | trunk, hip, thigh | as flat    | all but feet | all but feet, or 800 W (D17) | D13, [IV-A.3, 4] |
+| motors            | PD                | PD         | PD, V-D      | model (D11), 30 ms late     | [IV-A.4], [V-D]   |
+| noise             | as above          | as flat    | as flat      | as flat                     | [lab code]        |
+| friction          | 0.5 to 1.25       | as flat    | as flat      | 0.1 to 3                    | [ours], [lab code] |
+| payload on trunk  | +- 1 kg           | as flat    | as flat      | -1 to 3 kg                  | [ours], [lab code] |
+| centre of mass    | 0                 | 0          | 0            | +- 5 cm                     | [ours]            |
+| motor strength    | 1                 | 1          | 1            | 0.9 to 1.1                  | [lab code]        |
+| motor offset      | 0                 | 0          | 0            | +- 0.02 rad                 | [lab code]        |
+| added gravity     | 0                 | 0          | 0            | +- 1 m/s^2 along each axis  | [lab code]        |
+
+Everything that has a range is drawn for an episode.
 
 This file knows nothing of learning, and nothing here depends on the learner.
 """
@@ -47,11 +54,14 @@ from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
 import actuators
+import curriculum
 import energy
 import go1
 import rewards
 import terrain
 
+GRAVITY, DOWN = np.array([0.0, 0.0, -9.81]), np.array([0.0, 0.0, -1.0])  # m/s^2, -
+LEGS, FEET = slice(1, 13), slice(13, 17)  # contact sensors of go1.xml: hips, thighs, calves; feet
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hips half [lab code]
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
@@ -60,23 +70,26 @@ FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
 class Task(NamedTuple):
-    """What makes a task of Section IV-A that task, in the order of the table at the top of this file."""
+    """What makes a task of Section IV-A that task: see the table at the top of this file."""
 
     reward: Callable
-    command_low: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s]
-    command_high: tuple = (0.0, 0.0, 0.0)
+    settings: dict  # fields of Config that the paper sets
+    command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
     only_feet: bool = False  # may touch the ground; if not, the calves may as well
     torque_speed: bool = False  # limit of Section V-D
-    history: int = 5
-    roughness: tuple = (0.0, 0.0)
+    curriculum: bool = False  # commands come from curriculum.py
 
 
 FORWARD = (1.0, 0.0, 0.0)
+RANDOMISED = dict(friction=(0.1, 3.0), payload=(-1.0, 3.0), com=(-0.05, 0.05), motor_strength=(0.9, 1.1),
+                  motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
 TASKS = {
-    "flat": Task(rewards.flat, command_high=FORWARD),
-    "rough": Task(rewards.rough, command_high=FORWARD, history=10, roughness=(0.0, 0.15)),
-    "velocity": Task(rewards.max_velocity, history=10, roughness=(0.05, 0.05), only_feet=True, torque_speed=True),
-}
+    "flat": Task(rewards.flat, dict(history=5), command_high=FORWARD),
+    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15)), command_high=FORWARD),
+    "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)), only_feet=True, torque_speed=True),
+    "curriculum": Task(rewards.curriculum, dict(history=10, roughness=(0.0, 0.05), motor_model=True, latency=6,
+                       max_power=800.0, **RANDOMISED), only_feet=True, curriculum=True),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -99,6 +112,15 @@ class Config:
     tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
     friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
     payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
+    com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
+    motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
+    motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error of each joint's encoder
+    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity along each axis
+    motor_model: bool = False  # [IV-A.4] the motors as measured (D11), not an ideal PD controller
+    latency: int = 0  # [lab code] physics steps until a target reaches the motors
+    max_power: float = 0.0  # [IV-A.4] W, more in one control step ends the episode (D17); 0: anything goes
+    reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]
+    aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
 
 
@@ -106,7 +128,7 @@ def task_config(task="flat", **changes):
     """The Config that the paper sets for a task, with changes. Raises ValueError for an unknown task."""
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
-    return Config(**dict(task=task, history=TASKS[task].history, roughness=TASKS[task].roughness) | changes)
+    return Config(**dict(task=task) | TASKS[task].settings | changes)
 
 
 class Go1Env:
@@ -125,6 +147,7 @@ class Go1Env:
         check(num_envs, config, threads)
         self.num_envs, self.config, self.task = num_envs, config, TASKS[config.task]
         self.obs_size = config.history * FRAME_WIDTH
+        self.period = config.timestep * config.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
         self.ground = None  # a plane
@@ -134,19 +157,28 @@ class Go1Env:
             self.ground = terrain.make_ground(levels, cells_per_m=config.cells_per_m, octaves=config.octaves)
         model = go1.build_model(config.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
-        self.trunk, self.trunk_mass = model.body("trunk").id, model.body("trunk").mass[0]
+        self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        self.contacts = batch.bind("sensordata")  # (N, 13) contacts of trunk, hips, thighs; calves with the ground
-        self.forbidden = slice(None if self.task.only_feet else -4)
+        self.contacts = batch.bind(
+            "sensordata"
+        )  # (N, 17) contacts of trunk, hips and thighs, calves, feet with the ground
+        self.forbidden = slice(13 if self.task.only_feet else 9)
         self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
+        self.com, self.gravity = batch.expand("body_ipos"), batch.expand("opt.gravity")
+        self.strength, self.offset = np.ones((num_envs, 1)), np.zeros((num_envs, 12))  # of the motors
+        self.targets = np.zeros((config.latency + 1, num_envs, 12))  # rad, on their way to the motors
         self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
         self.action = np.zeros((num_envs, 12))
         self.command = np.zeros((num_envs, 3))
         self.age = np.zeros(num_envs, np.int64)  # control steps since the episode began
         self.tile = np.zeros(num_envs, np.int64)  # of the ground, where the episode takes place
+        self.weights = curriculum.initial_weights()
+        self.cell = np.zeros((num_envs, 2), np.int64)  # of the curriculum, where the command is from
+        self.air_time = np.zeros((num_envs, 4))  # s, how long each foot has been off the ground
+        self.tracked = np.zeros((num_envs, 2))  # sums of the kernels of Eq. (8) since the command was drawn
         self.rng = np.random.default_rng(0)
 
     def reset(self, seed, command=None):
@@ -170,28 +202,40 @@ class Go1Env:
 
         action:  (N, 12) [-] joint targets, as q_nominal + ACTION_SCALE * action
         returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
-                 cost (N,) [W] Eq. (9), mean of the physics steps (D17); privileged (N, 3) [m/s] body velocity;
+                 cost (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps (D17);
+                 privileged (N, 3) [m/s] body velocity;
                  final_obs, final_privileged: the same before autoreset, to be used where an episode ended;
                  log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
         """
+        before = self.action.copy()
         self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
-        power, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
+        power, cost, fell, efforts = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
         self.age += 1
         linear, yaw_rate = self._velocity()
+        velocity = np.column_stack([linear[:, :2], yaw_rate])
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
-        terminated = diverged | fell
+        reward = np.where(diverged, 0.0, self.task.reward(velocity, self.command))
+        extra = {}
+        if self.config.reward == "shaped":
+            extra = dict(task_reward=reward)
+            shaped = rewards.shaped(self._motion(velocity, linear, *efforts, self.action - before))
+            reward = np.where(diverged, 0.0, shaped)
+        power, cost = np.where(diverged, energy.SURVIVAL, power), np.where(diverged, 0.0, cost)
+        overload = (power > self.config.max_power) & (self.config.max_power > 0)
+        terminated = diverged | fell | overload
         truncated = ~terminated & (self.age >= self.config.episode_steps)
-        reward = np.where(diverged, 0.0, self.task.reward(np.column_stack([linear[:, :2], yaw_rate]), self.command))
-        power = np.where(diverged, energy.SURVIVAL, power)  # a cost of 0
         self._stay_on_tile()
         log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_fall=fell & ~diverged,
-                   ended_diverged=diverged, ended_limit=truncated)  # fmt: skip
+                   ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
+        if self.task.curriculum:
+            self.tracked += np.where(diverged[:, None], 0.0, np.column_stack(rewards.kernels(velocity, self.command)))
+            log |= dict(ended_power=overload & ~fell, command_area=np.full(self.num_envs, self.weights.mean()))
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
         self.frames[:, -1] = self._frame(np.arange(self.num_envs))
-        info = dict(cost=power - energy.SURVIVAL, log=log, final_obs=self._obs(), final_privileged=linear)
+        info = dict(cost=cost, log=log, final_obs=self._obs(), final_privileged=linear)
         ended = np.flatnonzero(terminated | truncated)
         if ended.size:
             self._reset(ended)
@@ -211,23 +255,47 @@ class Go1Env:
         self.batch.set_const()  # what MuJoCo derives from the masses
         self.rng.bit_generator.state = json.loads(str(state["rng"]))
 
-    _state = ("frames", "action", "command", "age", "tile", "friction", "mass")
+    _state = ("frames", "action", "command", "age", "tile", "friction", "mass", "com", "gravity", "strength", "offset",
+              "targets", "weights", "cell", "tracked", "air_time")  # fmt: skip
 
     def _physics(self, target):
-        """Apply joint targets for one control step: mean power of its physics steps [W], and who fell.
+        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, who fell, efforts.
 
-        To fall is to touch the ground with trunk, hip or thigh (D13), on the task `velocity` with anything but a foot.
+        Efforts are torques [N m], of every physics step, and joint accelerations [rad/s^2], of the control step (D15).
+        To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
-        power, fell = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        motor = actuators.motor_model if self.config.motor_model else actuators.pd_torque
+        torques, speeds, fell = [], [], np.zeros(self.num_envs, bool)
         for _ in range(self.config.physics_steps):
-            q, qd = self.qpos[:, 7:], self.qvel[:, 6:]
-            torque = actuators.limit_torque(actuators.pd_torque(target, q, qd), qd, self.task.torque_speed)
-            power += energy.total_power(torque, qd, self.config.clip)
+            self.targets[:-1], self.targets[-1] = self.targets[1:], target
+            q, qd = self.qpos[:, 7:], self.qvel[:, 6:].copy()
+            torque = self.strength * motor(self.targets[0], q + self.offset, qd)
+            torque = actuators.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
             self.ctrl[:] = torque
             self.batch.step()
             fell |= (self.contacts[:, self.forbidden] > 0).any(-1)
-        return power / self.config.physics_steps, fell
+            torques.append(torque)
+            speeds.append(qd)
+        torques, speeds = np.array(torques), np.array(speeds)
+        qdd = (self.qvel[:, 6:] - speeds[0]) / self.period
+        power = energy.total_power(torques, speeds, self.config.clip).mean(0)
+        smooth = self.config.aux == "smooth"
+        cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
+        return power, cost, fell, (torques, qdd)
+
+    def _motion(self, velocity, linear, torques, qdd, action_change):
+        """What the shaped reward looks at: rewards.Motion."""
+        touching = self.contacts[:, FEET] > 0
+        landed = np.where(touching & (self.air_time > 0), self.air_time, 0.0)
+        self.air_time[:] = np.where(touching, 0.0, self.air_time + self.period)
+        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
+        ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
+        return rewards.Motion(
+            velocity=velocity, command=self.command, v_z=linear[:, 2], roll_pitch_rate=self.qvel[:, 3:5],
+            gravity=to_world.apply(DOWN, inverse=True), torque=torques[-1], qdd=qdd,
+            height=self.qpos[:, 2] - ground, landed=landed, collisions=(self.contacts[:, LEGS] > 0).sum(-1),
+            action_change=action_change, q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
 
     def _stay_on_tile(self):
         """Who left the tile comes back on the other side, where the ground goes on: nothing else changes."""
@@ -242,9 +310,9 @@ class Go1Env:
     def _frame(self, ids):
         """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""
         to_world = Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
-        phase = 2 * np.pi * self.config.clock_hz * self.config.timestep * self.config.physics_steps * self.age[ids]
+        phase = 2 * np.pi * self.config.clock_hz * self.period * self.age[ids]
         frame = np.column_stack([
-            to_world.apply([0.0, 0.0, -1.0], inverse=True),  # gravity
+            to_world.apply(DOWN, inverse=True),  # gravity
             self.command[ids],
             self.qpos[ids, 7:] - go1.Q_NOMINAL,  # q
             self.qvel[ids, 6:],  # qd
@@ -259,8 +327,14 @@ class Go1Env:
         return self.frames.reshape(self.num_envs, -1).copy()
 
     def _draw_commands(self, ids):
-        """New commands [m/s, m/s, rad/s] for the robots `ids`, uniform in the task's range."""
-        self.command[ids] = self.rng.uniform(self.task.command_low, self.task.command_high, (len(ids), 3))
+        """New commands [m/s, m/s, rad/s] for the robots `ids`; the curriculum learns how they followed the old ones."""
+        if self.task.curriculum:
+            success = curriculum.succeeded(*(self.tracked[ids] / self.config.command_steps).T)
+            self.weights = curriculum.update(self.weights, self.cell[ids], success)
+            self.tracked[ids] = 0.0
+            self.command[ids], self.cell[ids] = curriculum.sample(self.weights, self.rng, len(ids))
+        else:
+            self.command[ids] = self.rng.uniform(0.0, self.task.command_high, (len(ids), 3))
 
     def _reset(self, ids):
         """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command, history."""
@@ -280,8 +354,13 @@ class Go1Env:
         self.qpos[ids, 7:] = q
         self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]
         self.friction[np.ix_(ids, self.feet, [0])] = uniform(*self.config.friction, (n, 1, 1))
-        self.mass[ids, self.trunk] = self.trunk_mass + uniform(*self.config.payload, n)
+        self.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*self.config.payload, n)
+        self.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*self.config.com, (n, 3))
         self.batch.set_const(ids)  # what MuJoCo derives from the masses
+        self.gravity[ids] = GRAVITY + uniform(*self.config.gravity, (n, 3))
+        self.strength[ids] = uniform(*self.config.motor_strength, (n, 1))
+        self.offset[ids] = uniform(*self.config.motor_offset, (n, 12))
+        self.targets[:, ids], self.air_time[ids] = go1.Q_NOMINAL, 0.0
         self.action[ids], self.age[ids] = 0.0, 0
         self._draw_commands(ids)
         self.frames[ids] = self._frame(ids)[:, None]
@@ -290,12 +369,15 @@ class Go1Env:
 def check(num_envs, config, threads):
     """Raise ValueError, in one line, for what no world can be built from."""
     task_config(config.task)
-    if config.clip not in ("torque", "power"):
-        raise ValueError(f'clip is {config.clip!r}: it must be "torque" or "power"')
+    for name, choices in dict(clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")).items():
+        if (x := getattr(config, name)) not in choices:
+            raise ValueError(f"{name} is {x!r}: it must be one of {', '.join(choices)}")
     for name, x in (vars(config) | dict(num_envs=num_envs, threads=threads)).items():
         if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
             raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
-        least = 0 if name in ("threads", "noise", "clock_hz") else 1 if isinstance(x, int) else 1e-9
+        least = (
+            0 if name in ("threads", "noise", "clock_hz", "latency", "max_power") else 1 if isinstance(x, int) else 1e-9
+        )
         if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
             raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
     for name in ("friction", "roughness"):

@@ -41,7 +41,8 @@ def load(folder, num_episodes, clip=None, roughness=None, threads=0):
     num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
     """
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
-    config = replace(config, stagger=False, command_steps=config.episode_steps, clip=clip or config.clip,
+    config = replace(config, reward="paper", stagger=False, command_steps=config.episode_steps,
+                     clip=clip or config.clip,
                      roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
     return jax.jit(lambda obs: eipo.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
 

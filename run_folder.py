@@ -5,6 +5,7 @@
     checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha, simulations, random generators
     policy.npz       what it takes to run the policy
     curves.png       the metrics, drawn
+    commands.png     on the task `curriculum`: which commands it has reached
 
 Nothing is pickled. Files are replaced in one step, so whoever reads them finds the old one or the new one. Whatever
 cannot be read raises ValueError with one line that says why.
@@ -27,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import actuators
+import curriculum
 import eipo
 import go1
 import go1_env
@@ -185,3 +187,18 @@ def draw_curves(folder):
         axes.grid(alpha=0.3)
     figure.axes[0].legend()
     replace_file(folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png"))
+
+
+def draw_commands(folder, weights):
+    """commands.png: how far the curriculum has come, its weights over the commands (see curriculum.py)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    (x_low, yaw_low), (x_high, yaw_high) = curriculum.LOW, curriculum.HIGH
+    image = axes.imshow(
+        weights, origin="lower", extent=(yaw_low, yaw_high, x_low, x_high), aspect="auto", vmin=0, vmax=1
+    )
+    axes.set(title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]")
+    figure.colorbar(image, label="weight")
+    replace_file(folder / "commands.png", lambda file: figure.savefig(file, dpi=100, format="png"))

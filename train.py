@@ -26,6 +26,7 @@ TASKS = {
     "flat": dict(lam=0.005, iterations=4000),
     "rough": dict(lam=0.0002, iterations=4000),
     "velocity": dict(lam=0.0002, iterations=10_000),
+    "curriculum": dict(lam=0.005, iterations=10_000),  # [V-E], [ours]
 }
 
 
@@ -180,6 +181,8 @@ def save(folder, state, envs):
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
     run_folder.save_policy(folder / "policy.npz", state.pi.params, envs[0].config)
     run_folder.draw_curves(folder)
+    if envs[0].task.curriculum:
+        run_folder.draw_commands(folder, envs[0].weights)
 
 
 def train(folder, env_config, config, options, asked):

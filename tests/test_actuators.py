@@ -68,3 +68,8 @@ def test_leading_shape():
     for i in np.ndindex(2, 5):
         alone = actuators.limit_torque(actuators.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
         assert torque[i].tolist() == alone.tolist()
+
+
+def test_motor_model():
+    """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
+    assert actuators.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))

@@ -675,7 +675,7 @@ def test_paper_settings_of_a_task(task, history, roughness):
 
 def test_unknown_task():
     """One line with the name and what there is to choose from."""
-    with pytest.raises(ValueError, match=r"^unknown task 'moon'.* flat, rough, velocity$"):
+    with pytest.raises(ValueError, match=r"^unknown task 'moon'.* flat, rough, velocity, curriculum$"):
         go1_env.task_config("moon")
 
 
@@ -821,13 +821,13 @@ def test_tile_lasts_one_episode():
 @pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
 @pytest.mark.parametrize(
     ("height", "ends"),
-    [(0.44, []), (0.41, ["velocity"]), (0.21, ["flat", "rough", "velocity"])],
+    [(0.44, []), (0.41, ["velocity", "curriculum"]), (0.21, list(go1_env.TASKS))],
     ids=["feet", "shins", "thighs"],
 )
 @pytest.mark.parametrize("task", go1_env.TASKS)
 def test_what_may_touch_the_ground(task, height, ends, roughness):
     """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m."""
-    env = make(task=task, roughness=roughness, **FROZEN)
+    env = make(task=task, roughness=roughness, max_power=0.0, **FROZEN)
     place(env, np.zeros(12), height=height)
     _, _, terminated, truncated, info = still(env)
     assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [task in ends] * 2
@@ -840,7 +840,7 @@ def test_self_contact_ends_nothing(task):
 
     0.04675 + 0.08 cos(0.863) = 0.0988 m is how far out a thigh begins.
     """
-    env = make(task=task, **FROZEN)
+    env = make(task=task, max_power=0.0, **FROZEN)
     place(env, np.tile([0.863, 0.8, -1.5, -0.863, 0.8, -1.5], 2))
     _, _, terminated, _, info = still(env)
     assert not terminated.any() and not info["log"]["ended_diverged"].any()
@@ -933,3 +933,135 @@ def test_no_foot_is_caught_in_the_ground(roughness):
         centres = env.qpos[:, 2:3] + np.einsum("nj,nkj->nk", up, go1.leg_points(env.qpos[:, 7:])[:, 1::2])
         below = np.where((centres < 0) & ~ended[:, None], below + 1, 0)
         assert below.max() <= 5
+
+
+# ---- the curriculum's world ----
+
+QUIET = dict(com=(0.0, 0.0), motor_strength=(1.0, 1.0), motor_offset=(0.0, 0.0), gravity=(0.0, 0.0), latency=0,
+             friction=(0.8, 0.8), payload=(0.0, 0.0), roughness=(0.0, 0.0))  # fmt: skip
+
+
+def test_latency_in_steps():
+    """Six physics steps are one control step of four and a half: the motors feel a new target in the second one only.
+
+    The joints rest at the old target, so that the torque is 20 * 0.25 N m once the new one arrives and 0 before.
+    """
+    env = make(task="curriculum", **QUIET | dict(latency=6), **FROZEN)
+    place(env)
+    action = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)
+    torques, step = [], env.batch.step
+    env.batch.step = lambda: (torques.append(env.ctrl.copy()), step())
+    for _ in range(2):
+        env.step(action)
+    assert np.array(torques)[:, 0, 0] == pytest.approx([0.0] * 6 + [5.0] * 2, abs=1e-6)
+
+
+def test_motor_strength_and_offset():
+    """Half the torque from motors of half strength; an encoder that reads 0.125 rad too much costs 20 * 0.125 N m."""
+    env = make(task="curriculum", **QUIET | dict(motor_strength=(0.5, 0.5), motor_offset=(0.125, 0.125)), **FROZEN)
+    place(env)
+    env.step(np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4))
+    assert env.ctrl == pytest.approx(np.full((2, 12), 0.5 * 20 * (0.25 - 0.125)), abs=1e-6)
+
+
+def test_motor_model_of_the_curriculum():
+    """D11 with the torque-speed line: at 10 rad/s and no error -0.7 * 10; at half its top speed 16.5 N m for a calf."""
+    env = make(task="curriculum", max_power=0.0, **QUIET, **FROZEN)
+    place(env, qd=10.0)
+    still(env)
+    assert env.ctrl == pytest.approx(np.full((2, 12), -7.0), abs=1e-4)
+    place(env, NOMINAL - 1.5, qd=20.06 / 2)  # PD alone would pull with 30 - 7 N m
+    still(env)
+    assert env.ctrl[0, 2] == pytest.approx(16.5, abs=1e-4)
+
+
+def test_added_gravity_makes_things_fall_elsewhere():
+    """In the air for one control step of 20 ms: the trunk gains what gravity was drawn as, times 0.02 s."""
+    env = make(8, task="curriculum", **QUIET | dict(gravity=(-1.0, 1.0)))
+    place(env, height=2.0)
+    still(env)
+    assert np.abs(env.gravity - [0, 0, -9.81]).max(0) == pytest.approx(np.ones(3), abs=0.6)
+    assert env.qvel[:, :3] == pytest.approx(0.02 * env.gravity, abs=0.02)
+
+
+def test_centre_of_mass_moves_by_what_was_drawn():
+    """Only the trunk's, within +- 5 cm along each axis, other for every robot."""
+    env = make(32, task="curriculum")
+    model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
+    shift = env.com - model.body_ipos
+    trunk = model.body("trunk").id
+    assert 0.04 < np.abs(shift[:, trunk]).max() <= 0.05 and len(np.unique(shift[:, trunk])) == 96
+    assert not np.delete(shift, trunk, axis=1).any()
+
+
+@pytest.mark.parametrize(("limit", "ends"), [(800.0, False), (100.0, True), (0.0, False)])
+def test_power_limit(limit, ends):
+    """D17, IV-A.4: 12 joints that rest at 5 N m heat with 0.7 * 25 * (8 + 4 * 4 / 9) W = 171 W, and 42 W go elsewhere.
+
+    A limit of 800 W lets that pass, one of 100 W ends the episode, and 0 is no limit.
+    """
+    env = make(task="curriculum", **QUIET | dict(max_power=limit), **FROZEN)
+    place(env)
+    _, _, terminated, truncated, info = env.step(np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4))
+    assert info["log"]["power"] == pytest.approx([0.7 * 25 * (8 + 16 / 9) + 42] * 2, abs=1e-3)
+    assert terminated.tolist() == info["log"]["ended_power"].tolist() == [ends] * 2
+    assert not truncated.any() and not info["log"]["ended_fall"].any()
+
+
+def test_eq11_smoothness_is_the_cost_of_a_step():
+    """Eq. (11) in the loop. At rest: 12 torques of 5 N m, 12 actions of 1 or 2, no acceleration worth mentioning.
+
+    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is logged all the same.
+    """
+    env = make(task="curriculum", aux="smooth", **QUIET, **FROZEN)
+    place(env)
+    info = env.step(np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4))[4]
+    qdd = (env.qvel[0, 6:]) / 4e-9
+    assert info["cost"] == pytest.approx(0.3 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
+    assert info["log"]["power"][0] > 200
+
+
+def test_curriculum_grows_where_the_robot_succeeds():
+    """A robot that is commanded and tracks 0 succeeds after command_steps; one that falls has not, and nothing grows.
+
+    Ten steps per command: sums of 10 * 1 are means of 1 > 0.8 and 0.5, and one of 10 * 0.5 is not.
+    """
+    env = make(task="curriculum", **QUIET, **FROZEN, command_steps=10)
+    place(env)
+    env.cell[:], env.weights[:] = [[2, 19], [2, 19]], 0.0
+    env.weights[2, 19] = 0.5
+    env.command[:] = 0.0
+    for _ in range(10):
+        still(env)
+    assert env.weights[2, 19] == 1.0 and env.weights[1, 18] == pytest.approx(0.4) and not env.tracked.any()
+    grown = env.weights.copy()
+    env.command[:] = 1.0  # far from what the robot does
+    for _ in range(10):
+        info = still(env)[4]
+    assert (env.weights == grown).all() and info["log"]["command_area"] == pytest.approx(np.full(2, grown.mean()))
+
+
+def test_shaped_reward_replaces_the_task_reward_and_keeps_it_in_the_log():
+    """V-E. A robot high in the air, where it was left: 1.5 for the command 0, less 30 (2 - 0.34)^2 for its height."""
+    env = make(task="curriculum", reward="shaped", **QUIET, **FROZEN)
+    place(env, height=0.44)
+    env.command[:] = 0.0
+    still(env)
+    env.command[:] = 0.0
+    _, reward, _, _, info = still(env)
+    assert reward == pytest.approx([1.5 - 30 * 0.01] * 2, abs=1e-3)
+    assert info["log"]["task_reward"] == pytest.approx([1.5] * 2, abs=1e-6)
+
+
+def test_air_time_counts_from_take_off_to_landing():
+    """Three steps of 20 ms in the air are 0.06 s, told in the step in which the feet land; then it starts anew."""
+    env = make(task="curriculum", reward="shaped", max_power=0.0, **QUIET)
+    env.air_time[:] = 0.0
+    seen, motion = [], env._motion
+    env._motion = lambda *x: seen.append(motion(*x)) or seen[-1]
+    for height in (1.0, 1.0, 1.0, 0.305, 1.0):
+        place(env, height=height)
+        still(env)
+    landed = np.array([m.landed[0] for m in seen])
+    assert landed == pytest.approx(np.array([[0.0] * 4] * 3 + [[0.06] * 4] + [[0.0] * 4]))
+    assert env.air_time[0] == pytest.approx([0.02] * 4)

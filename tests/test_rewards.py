@@ -102,3 +102,40 @@ def test_leading_shape(function):
     result = function(velocity, command)
     assert result.shape == (2, 5)
     assert all(result[i] == pytest.approx(function(velocity[i], command[i]), rel=1e-14) for i in np.ndindex(2, 5))
+
+
+def motion(**changes):
+    """A robot that does exactly what it should, in a batch of one: only the two tracking terms are not zero."""
+    still = dict(velocity=np.zeros(3), command=np.zeros(3), v_z=0.0, roll_pitch_rate=np.zeros(2),
+                 gravity=np.array([0.0, 0.0, -1.0]), torque=np.zeros(12), qdd=np.zeros(12), height=0.34,
+                 landed=np.zeros(4), collisions=0, action_change=np.zeros(12), q=np.zeros(12))  # fmt: skip
+    batch = {name: np.asarray(x)[None] for name, x in (still | changes).items()}
+    return rewards.Motion(**batch, joint_range=np.array([[-1.0] * 12, [1.0] * 12]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "lost"),
+    [
+        (dict(), 0.0),
+        (dict(v_z=0.25), 2 * 0.0625),
+        (dict(roll_pitch_rate=[1.0, 2.0]), 0.05 * 5),
+        (dict(gravity=[0.25, 0.25, -0.9]), 5 * 0.125),
+        (dict(torque=[10.0] * 12), 1e-4 * 1200),
+        (dict(qdd=[100.0] * 12), 2.5e-7 * 120000),
+        (dict(height=0.24), 30 * 0.01),
+        (dict(collisions=1), 1.0),
+        (dict(action_change=[1.0] * 12), 0.01 * 12),
+        (dict(q=[0.95, -0.92] + [0.9] * 10), 10 * (0.05 + 0.02)),
+        (dict(landed=[0.25, 0.0, 0.75, 0.0]), 0.0),  # nobody asked the robot to move
+        (dict(command=[1.0, 0, 0], velocity=[1.0, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),  # 0.25 - 0.5, 0.5 - 0.5
+        (dict(command=[0, 0, 1.0], velocity=[0, 0, 0.5]), 0.5 - 0.5 * E1),  # 0.25 / 0.25
+        (dict(collisions=3), 1.5),  # never below 0
+    ],
+)
+def test_shaped_reward_term_by_term(changes, lost):
+    """Reference [5], V-E: 1 + 0.5 for perfect tracking, less what each deviation costs by its published weight."""
+    assert rewards.shaped(motion(**changes)) == pytest.approx([1.5 - lost])
+
+
+def test_shaped_terms_have_their_weights():
+    assert list(rewards.shaped_terms(motion())) == list(rewards.SHAPED)

@@ -21,6 +21,7 @@ LAYERS = {
     "rewards": {"numpy"},
     "terrain": {"numpy", "scipy"},
     "actuators": {"numpy"},
+    "curriculum": {"numpy", "scipy"},
     "go1": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
