@@ -11,9 +11,11 @@ import argparse
 import csv
 import shlex
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 import measure
@@ -21,30 +23,37 @@ import run_folder
 import train
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
-TABLE1 = dict(zip(("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)),
-                  (2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37), strict=True))  # m/s  # fmt: skip
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#7F7F7F", "#8C6D31", "#BCBD22")
-ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
+TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
+                          (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
+                          (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
+HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # m/s, commands of Figs. 2 to 4
+ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
 
 
 def by_label(folders, task):
-    """Run folders of one task by what they are called in a figure: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}."""
+    """Run folders of one task by what they are called in a figure: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
+
+    Raises ValueError if there are none, and for two runs of one kind that differ in more than the seed, or not in it.
+    """
     groups = {}
-    for folder in folders:
-        env_config, learner = run_folder.load_config(Path(folder))
+    for folder in map(Path, folders):
+        env_config, learner = run_folder.load_config(folder)
         if env_config.task == task:
             name = "EIPO" if learner.algo == "eipo" else f"PPO({learner.lam:g})"
-            seeds = groups.setdefault(name, {})
-            if learner.seed in seeds:
-                raise ValueError(
-                    f"{folder} and {seeds[learner.seed]} are both {name} with seed {learner.seed}: give one"
-                )
-            seeds[learner.seed] = folder
+            groups.setdefault(name, {})[folder] = asdict(env_config) | asdict(learner)
     if not groups:
         raise ValueError(f"none of the run folders is of the task {task}")
-    order = sorted(groups, key=lambda name: list(TABLE1).index(name) if name in TABLE1 else len(TABLE1))
-    return {name: list(groups[name].values()) for name in order}
+    for name, runs in groups.items():
+        (first, settings), *others = runs.items()
+        for folder, other in others:
+            differing = [field for field in settings if settings[field] != other[field]]
+            if differing != ["seed"]:
+                what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
+                raise ValueError(f"{first} and {folder} are both {name} but {what}: give one of them")
+    order = sorted(groups, key=lambda name: KINDS.index(name) if name in KINDS else len(KINDS))
+    return {name: list(groups[name]) for name in order}
 
 
 def by_command(folders, task, commands, columns, args):
@@ -60,62 +69,61 @@ def by_command(folders, task, commands, columns, args):
         played = [measure.run_episodes(*policy_env, np.repeat(commands, each, 0)) for policy_env in loaded]
         for i, command in enumerate(commands):
             row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2], seeds=len(runs), episodes=each)
+            row |= dict(fell=np.mean([e.fell[i * each : (i + 1) * each] for e in played]))
             for column in columns:
                 row |= measure.summarise(column, [getattr(e, column)[i * each : (i + 1) * each] for e in played])
             rows.append(row)
     return rows
 
 
-def draw_lines(axes, rows, x, column, title):
-    """A line for each kind of run, with the interval of the pooled episodes as a band."""
+def draw_lines(axes, rows, x, column):
+    """A line for each kind of run: EIPO thick, PPO the darker the larger lambda; intervals of the pooled episodes."""
     names = list(dict.fromkeys(row["run"] for row in rows))
-    for name in names:
+    for i, name in enumerate(names):
         mine = [row for row in rows if row["run"] == name]
-        at, y, low, high = (
-            np.array([row[c] for row in mine], float) for c in (x, column, f"{column}_low", f"{column}_high")
-        )
-        color = COLORS[list(TABLE1).index(name) % len(COLORS)] if name in TABLE1 else COLORS[-1]
-        axes.plot(at, y, color=color, label=name, marker="o", markersize=3, linewidth=2 if name == "EIPO" else 1.2)
-        axes.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
-    axes.set(title=title, xlabel="command v_x [m/s]")
+        columns = (x, column, f"{column}_low", f"{column}_high")
+        at, y, low, high = (np.array([row[c] for row in mine], float) for c in columns)
+        color = "#0072B2" if name == "EIPO" else colormaps["YlOrBr"](0.35 + 0.6 * i / len(names))
+        style = dict(linewidth=2.5, marker="o") if name == "EIPO" else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
+        axes.plot(at, y, color=color, label=name, markersize=4, markevery=max(1, len(at) // 10), **style)
+        axes.fill_between(at, low, high, color=color, alpha=0.25 if len(names) < 4 else 0.1, linewidth=0)
     axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
 
 
 def draw_panels(rows, panels):
-    """A figure of one panel for each (rows' filter, column, title) of panels."""
+    """A figure of panels (task, column, label of the y axis), each over the command."""
     figure = Figure(figsize=(5 * len(panels), 3.6), layout="constrained")
     for axes, (task, column, title) in zip(figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True):
-        draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column, title)
-    figure.axes[0].legend(fontsize=8)
+        draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
+        axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
     return figure
 
 
-def fig2(folders, args):
+def fig2(folders, args, task="flat"):
     """Task performance and energy per velocity on flat ground, by command. Section V-A."""
-    rows = by_command(folders, "flat", FORWARD, ("performance", "energy"), args)
-    return rows, draw_panels(rows, [("flat", "performance", "task performance"), ("flat", "energy", "energy [J/m]")])
+    rows = by_command(folders, task, FORWARD, ("performance", "energy"), args)
+    return rows, draw_panels(rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")])
 
 
 def fig3(folders, args):
     """The same on rough ground of 15 cm. Section V-B."""
-    rows = by_command(folders, "rough", FORWARD, ("performance", "energy"), args)
-    return rows, draw_panels(rows, [("rough", "performance", "task performance"), ("rough", "energy", "energy [J/m]")])
+    return fig2(folders, args, "rough")
 
 
 def fig4(folders, args):
     """Task performance of every lambda on flat and on rough ground, as far as there are runs. Section V-C."""
-    present = {run_folder.load_config(Path(folder))[0].task for folder in folders} & {"flat", "rough"}
-    rows = []
-    for task in sorted(present):
-        rows += by_command(folders, task, FORWARD, ("performance",), args)
-    return rows, draw_panels(rows, [(task, "performance", f"task performance, {task}") for task in sorted(present)])
+    tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
+    if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
+        raise ValueError("none of the run folders is of the task flat or rough")
+    rows = [row for task in tasks for row in by_command(folders, task, FORWARD, ("performance",), args)]
+    return rows, draw_panels(rows, [(task, "performance", "task performance") for task in tasks])
 
 
 def fig5(folders, args):
     """Task reward and energy over commands of v_x and yaw rate. Section V-E."""
-    task = run_folder.load_config(Path(folders[0]))[0].task
     commands = np.array([(x, 0.0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
-    rows = by_command(folders, task, commands, ("performance", "power"), args)
+    rows = by_command(folders, "curriculum", commands, ("performance", "power"), args)
     names = list(dict.fromkeys(row["run"] for row in rows))
     figure = Figure(figsize=(3.2 * len(names) + 1, 5.6), layout="constrained")
     panels = figure.subplots(2, len(names), squeeze=False, sharex=True, sharey=True)
@@ -131,7 +139,7 @@ def fig5(folders, args):
 
 
 def fig6(folders, args):
-    """Velocity over time, from standing. Section VI; the paper's is of the hardware, this of the simulation."""
+    """Velocity over time of the robots that have not fallen yet; dotted, the paper's peaks on hardware. Section VI."""
     rows = []
     for name, runs in by_label(folders, "velocity").items():
         series = []
@@ -141,24 +149,27 @@ def fig6(folders, args):
         rows += [dict(task="velocity", run=name, time=0.1 + 0.2 * i, seeds=len(runs), episodes=args.episodes)
                  | measure.summarise("v_x", at) for i, at in enumerate(zip(*series, strict=True))]  # fmt: skip
     figure = Figure(figsize=(5, 3.6), layout="constrained")
-    draw_lines(axes := figure.subplots(), rows, "time", "v_x", "body velocity [m/s]")
-    axes.set(xlabel="time [s]")
-    axes.legend(fontsize=8)
+    draw_lines(axes := figure.subplots(), rows, "time", "v_x")
+    for peak in HARDWARE:
+        axes.axhline(peak, color="black", linestyle=":", linewidth=1)
+    axes.set(xlabel="time [s]", ylabel="body velocity [m/s]")
     return rows, figure
 
 
 def table1(folders, args):
     """Peak velocity of every lambda, beside what the paper prints. Table I."""
     rows = by_command(folders, "velocity", np.zeros((1, 3)), ("peak", "peak_mean", "v_x", "v_x_late", "power"), args)
-    rows = [row | dict(paper=TABLE1.get(row["run"], np.nan)) for row in rows]
+    paper = [dict(zip(("paper", "paper_low", "paper_high"), TABLE1.get(row["run"], [np.nan] * 3), strict=True))
+             for row in rows]  # fmt: skip
+    rows = [row | printed for row, printed in zip(rows, paper, strict=True)]
     at, figure = np.arange(len(rows))[::-1], Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
-    y, low, high, paper = (np.array([row[c] for row in rows]) for c in ("peak", "peak_low", "peak_high", "paper"))
-    axes.errorbar(y, at, xerr=np.nan_to_num([y - low, high - y]), fmt="o", color=COLORS[0], capsize=3, label="ours")
-    axes.plot(paper, at, "D", markerfacecolor="none", color=COLORS[1], label="the paper's Table I")
-    axes.set(
-        yticks=at, yticklabels=[row["run"] for row in rows], xlabel="peak velocity [m/s]", ylim=(-0.5, len(rows) - 0.5)
-    )
+    ours = dict(label="ours", fmt="o", color="#0072B2")
+    printed = dict(label="the paper's", fmt="D", color="#D55E00", markerfacecolor="none")
+    for name, style in (("peak", ours), ("paper", printed)):
+        mean, low, high = (np.array([row[c] for row in rows]) for c in (name, f"{name}_low", f"{name}_high"))
+        axes.errorbar(mean, at, xerr=np.nan_to_num([mean - low, high - mean]), capsize=3, **style)
+    axes.set(yticks=at, yticklabels=[row["run"] for row in rows], xlabel="peak velocity [m/s]")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return rows, figure
@@ -174,6 +185,9 @@ def commands(what, flags):
     """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
+    taken = [flag for flag in ("--task", "--algo", "--lam", "--seed", "--out", "--resume") if flag in flags]
+    if taken:
+        raise ValueError(f"--commands sets {taken[0]} itself")
     for task, lambdas in SWEEPS[what]:
         for lam in lambdas:
             for seed in range(3):
@@ -190,12 +204,12 @@ def progress(argv):
     folder = train.run_path(train.Options(**options), env_config, config)
     if not (folder / "checkpoint.npz").exists():
         return ""
+    train.settle_resumed(folder, asdict(env_config), asdict(config))  # raises if it is a run of other settings
     return "done" if len((folder / "metrics.csv").read_text().splitlines()) > config.iterations else "started"
 
 
 def save(out, what, rows, figure):
     """Write what.csv and what.png into the folder out."""
-    out.mkdir(parents=True, exist_ok=True)
     with open(out / f"{what}.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
@@ -205,39 +219,46 @@ def save(out, what, rows, figure):
 
 
 def print_table(folders, args):
-    """A row of a Markdown table for each run folder."""
+    """A row of a Markdown table for each run folder: means over episodes, and energy over all of their way."""
     print("| run | task performance | fell | v_x [m/s] | power [W] | energy [J/m] |\n|---|---|---|---|---|---|")
     for folder in folders:
-        e = measure.run_episodes(*measure.load(folder, args.episodes, args.clip, args.roughness))
+        task = run_folder.load_config(Path(folder))[0].task
+        roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+        e = measure.run_episodes(*measure.load(folder, args.episodes, args.clip, roughness))
         print(f"| {folder} | {e.performance.mean():.3f} | {100 * e.fell.mean():.1f} % | {e.v_x.mean():.3f} "
-              f"| {e.power.mean():.1f} | {e.power.mean() / e.v_x.mean():.0f} |", flush=True)  # fmt: skip
+              f"| {e.power.mean():.1f} | {measure.iqm(e.energy[np.isfinite(e.energy)]):.0f} |", flush=True)  # fmt: skip
 
 
 def main(argv):
     """Evaluate, draw or list; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
-    parser.add_argument("--commands", nargs=argparse.REMAINDER, metavar="FIGURE [FLAG ...]",
+    parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
     parser.add_argument("--out", default=".", type=Path, help="folder for the PNG and the CSV (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument(
-        "--roughness", type=float, help="m, of the ground (default: as in training, but 0.15 for figures of rough)"
+        "--roughness", type=float, help="m, of the ground (default: as in training, but 0.15 for rough)"
     )
-    args = parser.parse_args(argv)
     try:
-        if args.commands is not None:
-            print(*commands("".join(args.commands[:1]), args.commands[1:]), sep="\n")
-        elif args.runs and args.runs[0] in FIGURES:
-            what, *folders = args.runs
-            if not folders:
-                raise ValueError(f"{what} of which runs? Give run folders")
-            save(args.out, what, *FIGURES[what](folders, args))
-        elif args.runs:
+        if argv[:1] == ["--commands"]:
+            print(*commands("".join(argv[1:2]), argv[2:]), sep="\n")
+            return 0
+        args = parser.parse_intermixed_args(argv)
+        if args.episodes < 1:
+            raise ValueError(f"--episodes is {args.episodes}: it must be at least 1")
+        if args.commands or not args.runs:
+            raise ValueError("give run folders, or a figure and run folders, or --commands first and then a figure")
+        what, *folders = args.runs
+        if what not in FIGURES:
             print_table(args.runs, args)
+        elif not folders:
+            raise ValueError(f"{what} of which runs? Give run folders")
         else:
-            parser.print_help()
+            args.out.mkdir(parents=True, exist_ok=True)
+            save(args.out, what, *FIGURES[what](folders, args))
     except (ValueError, OSError) as error:
         print(f"evaluate.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

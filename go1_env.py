@@ -18,35 +18,11 @@ all of them are the first one. Only quantities that the robot can measure:
 | timing reference     | 2     | -       | 1          | 0: sin and cos of one 3 Hz clock (D14), no gait prescribed |
 
 Joints and legs: FR, FL, RR, RL x hip, thigh, calf. Scales and noise are the lab's (D5).
-
-What differs between the tasks; `task_config` makes the Config with the paper's values:
-
-|                   | flat              | rough      | velocity     | curriculum                  | source            |
-|-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
-| reward            | Eq. (5)           | Eq. (6)    | Eq. (7)      | Eq. (8)                     | [IV-A]            |
-| command v_x       | 0 to 1 m/s        | as flat    | 0            | `curriculum.py`             | [V-A], [lab code] |
-| history H         | 5                 | 10         | 10           | 10 (D24)                    | [V-A, B, D]       |
-| roughness         | 0                 | 0 to 15 cm | 5 cm         | 0 to 5 cm                   | [IV-A]            |
-| a fall: ground at | trunk, hip, thigh | as flat    | all but feet | all but feet, or 800 W (D17) | D13, [IV-A.3, 4] |
-| motors            | PD                | PD         | PD, V-D      | model (D11), 30 ms late     | [IV-A.4], [V-D]   |
-| noise             | as above          | as flat    | as flat      | as flat                     | [lab code]        |
-| friction          | 0.5 to 1.25       | as flat    | as flat      | 0.1 to 3                    | [ours], [lab code] |
-| payload on trunk  | +- 1 kg           | as flat    | as flat      | -1 to 3 kg                  | [ours], [lab code] |
-| centre of mass    | 0                 | 0          | 0            | +- 5 cm                     | [ours]            |
-| motor strength    | 1                 | 1          | 1            | 0.9 to 1.1                  | [lab code]        |
-| motor offset      | 0                 | 0          | 0            | +- 0.02 rad                 | [lab code]        |
-| added gravity     | 0                 | 0          | 0            | +- 1 m/s^2 along each axis  | [lab code]        |
-
-Everything that has a range is drawn for an episode.
-
-This file knows nothing of learning, and nothing here depends on the learner.
+What differs between the tasks of Section IV-A is in `tasks.py`. This file knows nothing of learning.
 """
 
 import json
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -58,6 +34,7 @@ import curriculum
 import energy
 import go1
 import rewards
+import tasks
 import terrain
 
 GRAVITY, DOWN = np.array([0.0, 0.0, -9.81]), np.array([0.0, 0.0, -1.0])  # m/s^2, -
@@ -69,73 +46,11 @@ FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12,
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
-class Task(NamedTuple):
-    """What makes a task of Section IV-A that task: see the table at the top of this file."""
-
-    reward: Callable
-    settings: dict  # fields of Config that the paper sets
-    command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
-    only_feet: bool = False  # may touch the ground; if not, the calves may as well
-    torque_speed: bool = False  # limit of Section V-D
-    curriculum: bool = False  # commands come from curriculum.py
-
-
-FORWARD = (1.0, 0.0, 0.0)
-RANDOMISED = dict(friction=(0.1, 3.0), payload=(-1.0, 3.0), com=(-0.05, 0.05), motor_strength=(0.9, 1.1),
-                  motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
-TASKS = {
-    "flat": Task(rewards.flat, dict(history=5), command_high=FORWARD),
-    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15)), command_high=FORWARD),
-    "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)), only_feet=True, torque_speed=True),
-    "curriculum": Task(rewards.curriculum, dict(history=10, roughness=(0.0, 0.05), motor_model=True, latency=6,
-                       max_power=800.0, **RANDOMISED), only_feet=True, curriculum=True),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Config:
-    """What the world is like. Every field says where its value comes from."""
-
-    task: str = "flat"  # [IV-A] one of TASKS
-    history: int = 5  # [V-A] H, frames of observation that the policy sees
-    episode_steps: int = 1000  # [V-A] control steps, 20 s
-    command_steps: int = 500  # [lab code] control steps between two draws of the command, 10 s
-    timestep: float = 0.005  # [lab code] s, one physics step
-    physics_steps: int = 4  # [lab code] physics steps per control step: 50 Hz
-    clock_hz: float = 3.0  # [ours] D14, frequency of the timing reference
-    action_limit: float = 10.0  # [lab code] actions are clipped to +- this
-    clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or each joint's "power" (D3)
-    noise: float = 1.0  # [lab code] factor on the noise of the observation
-    roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
-    cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
-    octaves: int = 1  # [lab code] of the Perlin noise (D22)
-    tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
-    friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
-    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
-    com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
-    motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
-    motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error of each joint's encoder
-    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity along each axis
-    motor_model: bool = False  # [IV-A.4] the motors as measured (D11), not an ideal PD controller
-    latency: int = 0  # [lab code] physics steps until a target reaches the motors
-    max_power: float = 0.0  # [IV-A.4] W, more in one control step ends the episode (D17); 0: anything goes
-    reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]
-    aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
-    stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
-
-
-def task_config(task="flat", **changes):
-    """The Config that the paper sets for a task, with changes. Raises ValueError for an unknown task."""
-    if task not in TASKS:
-        raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
-    return Config(**dict(task=task) | TASKS[task].settings | changes)
-
-
 class Go1Env:
     """`num_envs` Go1 robots on one task.
 
     num_envs: N, at least 1
-    config:   see Config
+    config:   see tasks.Config
     threads:  C++ threads; 0 takes every core that this process may use
     Raises ValueError for an unknown task, a non-positive count or a malformed range.
     """
@@ -143,9 +58,9 @@ class Go1Env:
     action_size = 12
     privileged_size = 3  # true body velocity: the critic sees it, the estimator learns it
 
-    def __init__(self, num_envs, config=Config(), threads=0):
-        check(num_envs, config, threads)
-        self.num_envs, self.config, self.task = num_envs, config, TASKS[config.task]
+    def __init__(self, num_envs, config=tasks.Config(), threads=0):
+        tasks.check(num_envs, config, threads)
+        self.num_envs, self.config, self.task = num_envs, config, tasks.TASKS[config.task]
         self.obs_size = config.history * FRAME_WIDTH
         self.period = config.timestep * config.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
@@ -154,7 +69,7 @@ class Go1Env:
         if config.roughness[1] > 0:
             low, high = config.roughness
             levels = np.linspace(high, low, config.tiles)[::-1]  # a single tile is a rough one
-            self.ground = terrain.make_ground(levels, cells_per_m=config.cells_per_m, octaves=config.octaves)
+            self.ground = terrain.make_ground(levels, config.ground_seed, config.cells_per_m, config.octaves)
         model = go1.build_model(config.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
@@ -172,7 +87,7 @@ class Go1Env:
         self.targets = np.zeros((config.latency + 1, num_envs, 12))  # rad, on their way to the motors
         self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
         self.action = np.zeros((num_envs, 12))
-        self.command = np.zeros((num_envs, 3))
+        self.command, self.given = np.zeros((num_envs, 3)), None
         self.age = np.zeros(num_envs, np.int64)  # control steps since the episode began
         self.tile = np.zeros(num_envs, np.int64)  # of the ground, where the episode takes place
         self.weights = curriculum.initial_weights()
@@ -184,16 +99,15 @@ class Go1Env:
     def reset(self, seed, command=None):
         """Start every episode anew; returns obs, info (see step).
 
-        seed: int or numpy SeedSequence; command: (N, 3) [m/s, m/s, rad/s] of the first episodes instead of a draw
+        seed: int or numpy SeedSequence
+        command: (N, 3) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
         """
+        self.given = None if command is None else np.broadcast_to(command, (self.num_envs, 3)).astype(float)
         self.rng = np.random.default_rng(seed)
         everyone = np.arange(self.num_envs)
         self._reset(everyone)
         if self.config.stagger:
             self.age[:] = self.rng.integers(self.config.episode_steps, size=self.num_envs)
-        if command is not None:
-            self.command[:] = command
-        if self.config.stagger or command is not None:
             self.frames[:] = self._frame(everyone)[:, None]
         return self._obs(), {"privileged": self._velocity()[0]}
 
@@ -216,13 +130,9 @@ class Go1Env:
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
-        reward = np.where(diverged, 0.0, self.task.reward(velocity, self.command))
-        extra = {}
-        if self.config.reward == "shaped":
-            extra = dict(task_reward=reward)
-            shaped = rewards.shaped(self._motion(velocity, linear, *efforts, self.action - before))
-            reward = np.where(diverged, 0.0, shaped)
-        power, cost = np.where(diverged, energy.SURVIVAL, power), np.where(diverged, 0.0, cost)
+        reward, extra = self._reward(velocity, linear[:, 2], *efforts, self.action - before)
+        reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
+        power = np.where(diverged, energy.SURVIVAL, power)
         overload = (power > self.config.max_power) & (self.config.max_power > 0)
         terminated = diverged | fell | overload
         truncated = ~terminated & (self.age >= self.config.episode_steps)
@@ -230,8 +140,7 @@ class Go1Env:
         log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_fall=fell & ~diverged,
                    ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
         if self.task.curriculum:
-            self.tracked += np.where(diverged[:, None], 0.0, np.column_stack(rewards.kernels(velocity, self.command)))
-            log |= dict(ended_power=overload & ~fell, command_area=np.full(self.num_envs, self.weights.mean()))
+            log |= dict(ended_power=overload & ~fell)
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
         self.frames[:, -1] = self._frame(np.arange(self.num_envs))
@@ -284,7 +193,18 @@ class Go1Env:
         cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
         return power, cost, fell, (torques, qdd)
 
-    def _motion(self, velocity, linear, torques, qdd, action_change):
+    def _reward(self, velocity, v_z, torques, qdd, action_change):
+        """The reward of a step (N,), and what it adds to the log; the curriculum keeps count of the tracking."""
+        reward, log = self.task.reward(velocity, self.command), {}
+        if self.task.curriculum:
+            self.tracked += np.column_stack(rewards.kernels(velocity, self.command))
+            log |= dict(command_area=np.full(self.num_envs, self.weights.mean()))
+        if self.config.reward == "shaped":
+            log |= dict(task_reward=reward)
+            reward = rewards.shaped(self._motion(velocity, v_z, torques, qdd, action_change))
+        return reward, log
+
+    def _motion(self, velocity, v_z, torques, qdd, action_change):
         """What the shaped reward looks at: rewards.Motion."""
         touching = self.contacts[:, FEET] > 0
         landed = np.where(touching & (self.air_time > 0), self.air_time, 0.0)
@@ -292,7 +212,7 @@ class Go1Env:
         to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
         return rewards.Motion(
-            velocity=velocity, command=self.command, v_z=linear[:, 2], roll_pitch_rate=self.qvel[:, 3:5],
+            velocity=velocity, command=self.command, v_z=v_z, roll_pitch_rate=self.qvel[:, 3:5],
             gravity=to_world.apply(DOWN, inverse=True), torque=torques[-1], qdd=qdd,
             height=self.qpos[:, 2] - ground, landed=landed, collisions=(self.contacts[:, LEGS] > 0).sum(-1),
             action_change=action_change, q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
@@ -328,7 +248,9 @@ class Go1Env:
 
     def _draw_commands(self, ids):
         """New commands [m/s, m/s, rad/s] for the robots `ids`; the curriculum learns how they followed the old ones."""
-        if self.task.curriculum:
+        if self.given is not None:
+            self.command[ids] = self.given[ids]
+        elif self.task.curriculum:
             success = curriculum.succeeded(*(self.tracked[ids] / self.config.command_steps).T)
             self.weights = curriculum.update(self.weights, self.cell[ids], success)
             self.tracked[ids] = 0.0
@@ -364,29 +286,3 @@ class Go1Env:
         self.action[ids], self.age[ids] = 0.0, 0
         self._draw_commands(ids)
         self.frames[ids] = self._frame(ids)[:, None]
-
-
-def check(num_envs, config, threads):
-    """Raise ValueError, in one line, for what no world can be built from."""
-    task_config(config.task)
-    for name, choices in dict(clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")).items():
-        if (x := getattr(config, name)) not in choices:
-            raise ValueError(f"{name} is {x!r}: it must be one of {', '.join(choices)}")
-    for name, x in (vars(config) | dict(num_envs=num_envs, threads=threads)).items():
-        if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
-            raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
-        least = (
-            0 if name in ("threads", "noise", "clock_hz", "latency", "max_power") else 1 if isinstance(x, int) else 1e-9
-        )
-        if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
-            raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
-    for name in ("friction", "roughness"):
-        if getattr(config, name)[0] < 0:
-            raise ValueError(f"{name} is {getattr(config, name)}: it must not be negative")
-    if config.cells_per_m * 2.0 ** min(config.octaves - 1, 99) * terrain.SPACING > 0.5:
-        raise ValueError(
-            f"cells_per_m {config.cells_per_m} with octaves {config.octaves} is too fine for a ground of points"
-            f" {terrain.SPACING} m apart: cells_per_m * 2**(octaves - 1) can be {0.5 / terrain.SPACING:.0f} at most"
-        )
-    if config.payload[0] <= -5:
-        raise ValueError(f"payload is {config.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")

@@ -1,8 +1,9 @@
 """Trained policies, measured as in Sections IV-D and V: episodes under the deterministic policy, and their statistics.
 
-Each episode keeps one command; noise, friction, payload and ground are drawn as in training, and every policy meets the
-same draws. Numbers are interquartile means with 95 % bootstrap intervals, once of the episodes of all seeds pooled, as
-in the paper, and once of the seeds, which is the honest one for three of them.
+Each episode keeps one command. Noise, friction and payload are drawn as in training, the ground is new; every policy
+starts from the same draws. Numbers are interquartile means with 95 % bootstrap intervals, once of the episodes of all
+seeds pooled, as in Table I, and once of the seeds, which is the honest one for three of them. An interquartile mean
+does not see what befalls less than a quarter of the episodes: `summarise` also gives the mean, and `fell` counts falls.
 """
 
 from dataclasses import replace
@@ -25,7 +26,7 @@ PEAK_STEPS = 10  # 0.2 s, over which the second peak velocity is averaged (D18)
 class Episodes(NamedTuple):
     """One number per episode, (N,) each."""
 
-    performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; after a fall 0
+    performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; 0 for the time after a fall
     fell: np.ndarray  # bool, ended before the time limit
     v_x: np.ndarray  # [m/s] mean body velocity while the episode lasted
     v_x_late: np.ndarray  # [m/s] the same over the second half of the time limit, NaN if it ended before
@@ -42,7 +43,7 @@ def load(folder, num_episodes, clip=None, roughness=None, threads=0):
     """
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
     config = replace(config, reward="paper", stagger=False, command_steps=config.episode_steps,
-                     clip=clip or config.clip,
+                     clip=clip or config.clip, ground_seed=SEED,
                      roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
     return jax.jit(lambda obs: eipo.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
 
@@ -99,12 +100,16 @@ def interval(x, statistic, **options):
 
 
 def summarise(name, by_seed):
-    """IQM and both intervals as columns of a CSV. by_seed: list of (episodes,), one per seed; NaN is left out."""
+    """IQM, both intervals, mean, and number of episodes that count, as columns of a CSV.
+
+    by_seed: list of (episodes,), one per seed; what is not finite is left out
+    """
     by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
-    columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high")]
+    columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high", "_mean")]
     if not by_seed:
-        return dict.fromkeys(columns, np.nan)
+        return dict.fromkeys(columns, np.nan) | {f"{name}_n": 0}
     pooled, seeds = np.concatenate(by_seed), np.arange(len(by_seed))
     over_episodes = interval(pooled, iqm, batch=100)
     over_seeds = interval(seeds, lambda drawn: iqm(np.concatenate([by_seed[i] for i in drawn])), vectorized=False)
-    return dict(zip(columns, (iqm(pooled), *over_episodes, *over_seeds), strict=True))
+    numbers = iqm(pooled), *over_episodes, *over_seeds, pooled.mean()
+    return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": len(pooled)}

@@ -6,6 +6,7 @@ backspace sets it to 0. With --follow the robot gets every new policy that a run
 
 import argparse
 import ctypes.util
+import itertools
 import os
 import sys
 import time
@@ -14,7 +15,8 @@ from pathlib import Path
 
 HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 if HEADLESS:  # MuJoCo decides how to draw when it is imported
-    os.environ.setdefault("MUJOCO_GL", "egl" if ctypes.util.find_library("EGL") else "osmesa")
+    backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
+    os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
 
 import jax
 import mujoco
@@ -37,8 +39,8 @@ AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is o
 def make_env(config, roughness=None):
     """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
     level = config.roughness[1] if roughness is None else roughness
-    forever = dict(episode_steps=10**9, command_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(config, roughness=(level, level), tiles=1, **forever), threads=1)
+    changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
+    return go1_env.Go1Env(1, replace(config, **changes), threads=1)
 
 
 def make_scene(env):
@@ -76,37 +78,35 @@ def play(env, folder, command, follow=False):
     mean = jax.jit(lambda params, obs: eipo.policy(params, obs)[0])
     obs, _ = env.reset(0, command)
     while True:
-        if loaded is None or (follow and path.stat().st_mtime != loaded):
-            loaded, params = path.stat().st_mtime, run_folder.load_policy(path)[0]
-        env.command[:] = command
+        if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
+            loaded, params = path.stat().st_mtime_ns, run_folder.load_policy(path)[0]
+        env.command[:] = env.given[:] = command
         obs, _, _, _, info = env.step(np.asarray(mean(params, obs)))
         yield info["log"]
 
 
 def caption(log, command):
     """What the robot is asked to do and does, in one line."""
-    asked = f"asked {command[0]:.1f} m/s   " if command.any() else ""
-    return f"{asked}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
+    asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True) if x)
+    return f"{'asked ' + asked + '   ' if asked else ''}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
 
 
 def save_gif(path, env, steps, seconds, command):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
     model, data = make_scene(env)
-    period = env.config.timestep * env.config.physics_steps
     images, camera = [], mujoco.MjvCamera()
+    for _ in itertools.islice(steps, round(1 / env.period)):
+        pass
+    point(camera, env, model)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for i, log in zip(range(round((1 + seconds) / period)), steps, strict=False):
-            if i * period < 1 or i % STEPS_PER_FRAME:
-                continue
-            if not images:
-                point(camera, env, model)
+        for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):
             show(env, model, data)
             renderer.update_scene(data, camera)
             image = Image.fromarray(renderer.render())
             ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
             palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames: smaller
             images.append(image.quantize(dither=Image.Dither.NONE, **palette))
-    duration = round(1000 * period * STEPS_PER_FRAME)
+    duration = round(1000 * env.period * STEPS_PER_FRAME)
     images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
 
 
@@ -117,7 +117,6 @@ def watch(env, steps, command):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
     model, data = make_scene(env)
-    period = env.config.timestep * env.config.physics_steps
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
@@ -127,10 +126,9 @@ def watch(env, steps, command):
             log = next(steps)
             with viewer.lock():
                 show(env, model, data)
-            yaw = f"   yaw {command[2]:.1f} rad/s" if command[2] else ""
-            viewer.set_texts((None, None, caption(log, command) + yaw, None))
+            viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
-            time.sleep(max(0.0, period - (time.monotonic() - start)))
+            time.sleep(max(0.0, env.period - (time.monotonic() - start)))
 
 
 def main(argv):
@@ -148,24 +146,34 @@ def main(argv):
         _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
         env = make_env(config, args.roughness)
         command = np.array(env.task.command_high if args.command is None else args.command, float)
+        if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:
+            raise ValueError("--command takes three finite numbers, --seconds one from 0.1 to 600")
         steps = play(env, args.run, command, args.follow)
-        if args.gif:
-            save_gif(args.gif, env, steps, args.seconds, command)
-        elif HEADLESS:
+        if not args.gif and HEADLESS:
             raise ValueError("there is no display to open a window on: add --gif FILE")
+        if args.gif and os.environ.get("MUJOCO_GL") == "off":
+            raise ValueError("nothing to draw with: install libegl1 or libosmesa6")
+        if args.gif:
+            save_gif(writable(args.gif), env, steps, args.seconds, command)
         else:
             watch(env, steps, command)
     except KeyboardInterrupt:
         return 130
     except (ImportError, AttributeError, mujoco.FatalError) as error:
-        print(
-            f"play.py: OpenGL does not work ({error}): install libegl1 or libosmesa6, or set MUJOCO_GL", file=sys.stderr
-        )
+        print(f"play.py: OpenGL does not work: {error}; install libegl1 or libosmesa6", file=sys.stderr)
         return 2
     except (ValueError, OSError, RuntimeError) as error:
         print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
+
+
+def writable(path):
+    """The path of a GIF, once it is clear that it can be written. Raises ValueError or OSError."""
+    if Path(path).suffix.lower() != ".gif":
+        raise ValueError(f"{path} does not end in .gif")
+    Path(path).touch()
+    return path
 
 
 if __name__ == "__main__":

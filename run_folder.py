@@ -32,6 +32,7 @@ import curriculum
 import eipo
 import go1
 import go1_env
+import tasks
 
 
 def commit():
@@ -75,10 +76,10 @@ def tuples(record):
 
 
 def load_config(folder):
-    """The go1_env.Config and eipo.Config of a run."""
+    """The tasks.Config and eipo.Config of a run."""
     try:
         record = json.loads((folder / "config.json").read_text())
-        return go1_env.Config(**tuples(record["env"])), eipo.Config(**tuples(record["learner"]))
+        return tasks.Config(**tuples(record["env"])), eipo.Config(**tuples(record["learner"]))
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
@@ -139,7 +140,7 @@ def save_policy(path, params, env_config):
     frame_scale            (44,) units -> observation; the entries of a frame are the table at the top of go1_env.py
     q_nominal              (12,) [rad]; action_scale (12,) [rad]: the target of the PD controller is their sum
     kp, kd                 [N m / rad], [N m s / rad] of the PD controller, at the rate of the physics
-    config                 go1_env.Config as JSON: history H, timestep, physics_steps, action_limit ...
+    config                 tasks.Config as JSON: history H, timestep, physics_steps, action_limit ...
 
     Joints: FR, FL, RR, RL x hip, thigh, calf.
     """
@@ -162,7 +163,7 @@ def load_policy(path):
 
     try:
         params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
-        return params, go1_env.Config(**tuples(json.loads(str(arrays["config"]))))
+        return params, tasks.Config(**tuples(json.loads(str(arrays["config"]))))
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a policy of this version: {error}") from None
 

@@ -1,6 +1,6 @@
 """The command line: `python train.py --task flat` trains a policy and keeps everything in a run folder.
 
-Every field of the three dataclasses (`Options` here, `go1_env.Config`, `eipo.Config`) is a flag of the same name. What
+Every field of the three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. What
 a run folder holds is listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on with --resume
 and ends with the same bits as one that was never stopped.
 """
@@ -20,6 +20,7 @@ from pathlib import Path
 import eipo
 import go1_env
 import run_folder
+import tasks
 
 # What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]
 TASKS = {
@@ -40,7 +41,7 @@ class Options:
     checkpoint_every: int = 50  # [ours] iterations between two checkpoints
 
 
-CONFIGS = (Options, go1_env.Config, eipo.Config)
+CONFIGS = (Options, tasks.Config, eipo.Config)
 
 
 # ---- settings ----
@@ -73,8 +74,8 @@ def parse(argv):
 
 
 def settle(given_env, given_learner):
-    """Defaults, then what the paper sets for the task, then what was given: go1_env.Config and eipo.Config."""
-    env_config = go1_env.task_config(**given_env)
+    """Defaults, then what the paper sets for the task, then what was given: tasks.Config and eipo.Config."""
+    env_config = tasks.task_config(**given_env)
     return env_config, eipo.Config(**TASKS[env_config.task] | given_learner)
 
 
@@ -157,7 +158,7 @@ def run_path(options, env_config, config):
 
 
 def prepare(options, given_env, given_learner, argv):
-    """Make the run folder, or check that what it holds fits; returns folder, go1_env.Config, eipo.Config."""
+    """Make the run folder, or check that what it holds fits; returns folder, tasks.Config, eipo.Config."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
     env_config, config = settle(given_env, given_learner)
@@ -169,7 +170,7 @@ def prepare(options, given_env, given_learner, argv):
     elif any((folder / name).exists() and (folder / name).stat().st_size for name in ("checkpoint.npz", "metrics.csv")):
         raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
     check(config)
-    go1_env.check(config.num_envs, env_config, options.threads)
+    tasks.check(config.num_envs, env_config, options.threads)
     folder.mkdir(parents=True, exist_ok=True)
     if not options.resume or config.iterations > run_folder.load_config(folder)[1].iterations:
         run_folder.save_config(folder, env_config, config, argv)

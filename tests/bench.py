@@ -25,6 +25,7 @@ import numpy as np
 
 import eipo
 import go1_env
+import tasks
 
 ROUNDS = 7
 
@@ -51,15 +52,15 @@ def bench_tasks(num_envs, threads, steps=25):
         for action in actions:
             env.step(action)
 
-    envs = [go1_env.Go1Env(num_envs, go1_env.task_config(task, stagger=False), threads) for task in go1_env.TASKS]
+    envs = [go1_env.Go1Env(num_envs, tasks.task_config(task, stagger=False), threads) for task in tasks.TASKS]
     times = seconds(*(partial(run, env) for env in envs))
-    costs = (f"{task} {t / times[0]:.2f}" for task, t in zip(go1_env.TASKS, times, strict=True))
+    costs = (f"{task} {t / times[0]:.2f}" for task, t in zip(tasks.TASKS, times, strict=True))
     print(f"tasks        cost of a step relative to flat: {', '.join(costs)} (aim 2)")
 
 
 def bench_environment(num_envs, threads, steps=25):
     """Rate of Go1Env.step on `flat`, where no episode ends so soon, relative to the bare loop; prints both."""
-    config = go1_env.task_config("flat", stagger=False)
+    config = tasks.task_config("flat", stagger=False)
     env, bare = go1_env.Go1Env(num_envs, config, threads), go1_env.Go1Env(num_envs, config, threads)
     env.reset(0)
     actions = 0.3 * np.random.default_rng(0).normal(size=(steps, num_envs, 12))
@@ -93,7 +94,7 @@ def bench_environment(num_envs, threads, steps=25):
 def bench_update(task, num_envs, threads):
     """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
     cfg = eipo.Config(algo="ppo", num_envs=num_envs)
-    env = go1_env.Go1Env(num_envs, go1_env.task_config(task), threads)
+    env = go1_env.Go1Env(num_envs, tasks.task_config(task), threads)
     sizes = env.obs_size, env.privileged_size, env.action_size
     key = jax.random.key(0)
     learner = [eipo.init_learner(key, sizes, 2, cfg)]
@@ -132,7 +133,7 @@ def bench_iteration(algo, task, num_envs, threads, iterations=6):
         return mock.patch.object(owner, function, wrapped)
 
     policies = 2 if algo == "eipo" else 1
-    env_config = go1_env.task_config(task)
+    env_config = tasks.task_config(task)
     envs = [go1_env.Go1Env(num_envs // policies, env_config, threads) for _ in range(policies)]
     cfg = eipo.Config(algo=algo, num_envs=num_envs, iterations=3 + iterations)
     with contextlib.ExitStack() as stack:
@@ -154,7 +155,7 @@ def bench_iteration(algo, task, num_envs, threads, iterations=6):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--task", choices=go1_env.TASKS, default="flat")
+    parser.add_argument("--task", choices=tasks.TASKS, default="flat")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0, help="of the physics; 0 takes every core")
     args = parser.parse_args()

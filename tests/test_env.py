@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 import energy
 import go1
 import go1_env
-from go1_env import Config, Go1Env
+import tasks
+from go1_env import Go1Env
+from tasks import Config
 
 NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)
@@ -27,7 +29,7 @@ ACTION = slice(30, 42)  # the previous action within a frame of 44
 
 def make(num_envs=2, threads=1, seed=0, **fields):
     """A reset environment without noise and with first episodes that start at age 0; task="flat" if not told."""
-    env = Go1Env(num_envs, go1_env.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads)
+    env = Go1Env(num_envs, tasks.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads)
     env.reset(seed)
     return env
 
@@ -456,7 +458,7 @@ def test_friction_and_payload_last_one_episode():
 # ---- the same bits ----
 
 
-@pytest.mark.parametrize("task", go1_env.TASKS)
+@pytest.mark.parametrize("task", tasks.TASKS)
 @pytest.mark.parametrize("threads", [2, 0])
 def test_threads_do_not_change_the_bits(threads, task):
     """A laptop and a server train the same policy. Crosses resets and draws of commands."""
@@ -475,7 +477,7 @@ def test_seeds():
     assert same_bits(ours, run(used, actions)) and not same_bits(ours, run(other, actions))
 
 
-@pytest.mark.parametrize("task", go1_env.TASKS)
+@pytest.mark.parametrize("task", tasks.TASKS)
 def test_state_continues_with_the_same_bits(tmp_path, task):
     """Resume is exact: through a file without pickles, into a fresh object, over resets and new commands."""
     env = make(3, task=task, stagger=True, noise=1.0, episode_steps=6, command_steps=4)
@@ -668,15 +670,15 @@ def test_good_config(fields):
 )
 def test_paper_settings_of_a_task(task, history, roughness):
     """V-A, V-B, V-D: H; IV-A: roughness in m. All else is as on flat ground, and a change wins over the paper."""
-    assert go1_env.task_config(task) == Config(task=task, history=history, roughness=roughness)
-    changed = go1_env.task_config(task, history=3, roughness=(0.0, 0.01), noise=0.5)
+    assert tasks.task_config(task) == Config(task=task, history=history, roughness=roughness)
+    changed = tasks.task_config(task, history=3, roughness=(0.0, 0.01), noise=0.5)
     assert changed == Config(task=task, history=3, roughness=(0.0, 0.01), noise=0.5)
 
 
 def test_unknown_task():
     """One line with the name and what there is to choose from."""
     with pytest.raises(ValueError, match=r"^unknown task 'moon'.* flat, rough, velocity, curriculum$"):
-        go1_env.task_config("moon")
+        tasks.task_config("moon")
 
 
 @pytest.mark.parametrize("task", ["rough", "velocity"])
@@ -821,10 +823,10 @@ def test_tile_lasts_one_episode():
 @pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
 @pytest.mark.parametrize(
     ("height", "ends"),
-    [(0.44, []), (0.41, ["velocity", "curriculum"]), (0.21, list(go1_env.TASKS))],
+    [(0.44, []), (0.41, ["velocity", "curriculum"]), (0.21, list(tasks.TASKS))],
     ids=["feet", "shins", "thighs"],
 )
-@pytest.mark.parametrize("task", go1_env.TASKS)
+@pytest.mark.parametrize("task", tasks.TASKS)
 def test_what_may_touch_the_ground(task, height, ends, roughness):
     """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m."""
     env = make(task=task, roughness=roughness, max_power=0.0, **FROZEN)
@@ -834,7 +836,7 @@ def test_what_may_touch_the_ground(task, height, ends, roughness):
     assert not truncated.any() and not info["log"]["ended_diverged"].any()
 
 
-@pytest.mark.parametrize("task", go1_env.TASKS)
+@pytest.mark.parametrize("task", tasks.TASKS)
 def test_self_contact_ends_nothing(task):
     """Hips 0.863 rad inward: right and left thigh cross at y = 0, 0.0988 / sin(0.863) = 0.13 m down their 0.2 m.
 

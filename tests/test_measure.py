@@ -7,6 +7,7 @@ import pytest
 
 import go1_env
 import measure
+import tasks
 
 
 class Scripted:
@@ -60,7 +61,7 @@ def test_peak_velocity(episodes):
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
     """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so (scale 2)."""
-    env = go1_env.Go1Env(2, go1_env.task_config("flat", noise=0.0, stagger=False, episode_steps=3, command_steps=3), 1)
+    env = go1_env.Go1Env(2, tasks.task_config("flat", noise=0.0, stagger=False, episode_steps=3, command_steps=3), 1)
     seen = []
 
     def mean(obs):
@@ -81,8 +82,10 @@ def test_iqm_by_hand():
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
     row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])])
-    assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high"]
-    assert row["x"] == 3.5 and (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
+    assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_mean", "x_n"]
+    assert (
+        row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8 and (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
+    )
     assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
 
 
@@ -90,7 +93,14 @@ def test_summarise_without_an_interval():
     """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing finite is NaN."""
     row = measure.summarise("x", [np.full(8, 2.0)])
     assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(row["x_seeds_low"])
-    assert all(np.isnan(list(measure.summarise("x", [np.array([np.nan])]).values())))
+    *numbers, n = measure.summarise("x", [np.array([np.nan])]).values()
+    assert all(np.isnan(numbers)) and n == 0
+
+
+def test_iqm_does_not_see_rare_falls_but_the_mean_does():
+    """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 = 1.125."""
+    row = measure.summarise("x", [np.array([0.25, *[1.25] * 7])])
+    assert (row["x"], row["x_mean"]) == (1.25, 1.125)
 
 
 def test_interval_covers_the_truth():

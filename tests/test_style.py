@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import eipo
-import go1_env
+import tasks
 import train
 
 ROOT = Path(train.__file__).parent
@@ -22,6 +22,7 @@ LAYERS = {
     "terrain": {"numpy", "scipy"},
     "actuators": {"numpy"},
     "curriculum": {"numpy", "scipy"},
+    "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
@@ -135,6 +136,6 @@ def test_modules_are_packaged_and_none_is_called_utils():
 
 def test_tags_of_the_environment_and_the_learner_are_found():
     """The parser of the tags itself: it must see every field, or the test above would pass on nothing."""
-    for config in (go1_env.Config, eipo.Config, train.Options):
+    for config in (tasks.Config, eipo.Config, train.Options):
         assert set(train.describe(config)) == {field.name for field in fields(config)}
     assert "discount" in train.describe(eipo.Config)["gamma"] and inspect.getsource(eipo.Config)

@@ -1,0 +1,121 @@
+"""What the world is like: every setting of the environment, and what the paper sets for each task of Section IV-A.
+
+`task_config` makes the Config with the paper's values:
+
+|                   | flat              | rough      | velocity     | curriculum                  | source            |
+|-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
+| reward            | Eq. (5)           | Eq. (6)    | Eq. (7)      | Eq. (8)                     | [IV-A]            |
+| command v_x       | 0 to 1 m/s        | as flat    | 0            | `curriculum.py`             | [IV-A], [IV-C.a]  |
+| history H         | 5                 | 10         | 10           | 10 (D24)                    | [V-A, B, D]       |
+| roughness         | 0                 | 0 to 15 cm | 5 cm         | 0 to 5 cm                   | [IV-A]            |
+| a fall: ground at | trunk, hip, thigh | as flat    | all but feet | all but feet, or 800 W (D17) | D13, [IV-A.3, 4] |
+| motors            | PD                | PD         | PD, V-D      | model (D11), 30 ms late     | [IV-A.4], [V-D]   |
+| noise             | `go1_env.py`      | as flat    | as flat      | as flat                     | [lab code]        |
+| friction          | 0.5 to 1.25       | as flat    | as flat      | 0.1 to 3                    | [ours], [lab code] |
+| payload on trunk  | +- 1 kg           | as flat    | as flat      | -1 to 3 kg                  | [ours], [lab code] |
+| centre of mass    | 0                 | 0          | 0            | +- 5 cm                     | [ours]            |
+| motor strength    | 1                 | 1          | 1            | 0.9 to 1.1                  | [lab code]        |
+| motor offset      | 0                 | 0          | 0            | +- 0.02 rad                 | [lab code]        |
+| added gravity     | 0                 | 0          | 0            | +- 1 m/s^2 along each axis  | [lab code]        |
+
+Everything that has a range is drawn for an episode.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+import rewards
+import terrain
+
+
+class Task(NamedTuple):
+    """What makes a task of Section IV-A that task: see the table at the top of this file."""
+
+    reward: Callable
+    settings: dict  # fields of Config that the paper sets
+    command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
+    only_feet: bool = False  # may touch the ground; if not, the calves may as well
+    torque_speed: bool = False  # limit of Section V-D
+    curriculum: bool = False  # commands come from curriculum.py
+
+
+FORWARD = (1.0, 0.0, 0.0)
+RANDOMISED = dict(friction=(0.1, 3.0), payload=(-1.0, 3.0), com=(-0.05, 0.05), motor_strength=(0.9, 1.1),
+                  motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
+TASKS = {
+    "flat": Task(rewards.flat, dict(history=5), command_high=FORWARD),
+    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15)), command_high=FORWARD),
+    "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)), only_feet=True, torque_speed=True),
+    "curriculum": Task(rewards.curriculum, dict(history=10, roughness=(0.0, 0.05), motor_model=True, latency=6,
+                       max_power=800.0, **RANDOMISED), only_feet=True, curriculum=True),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Config:
+    """What the world is like. Every field says where its value comes from; what differs by task, `task_config` sets."""
+
+    task: str = "flat"  # [IV-A] one of TASKS
+    history: int = 5  # [V-A] H, frames of observation that the policy sees
+    episode_steps: int = 1000  # [V-A] control steps, 20 s
+    command_steps: int = 500  # [lab code] control steps between two draws of the command, 10 s
+    timestep: float = 0.005  # [lab code] s, one physics step
+    physics_steps: int = 4  # [lab code] physics steps per control step: 50 Hz
+    clock_hz: float = 3.0  # [ours] D14, frequency of the timing reference
+    action_limit: float = 10.0  # [lab code] actions are clipped to +- this
+    clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or each joint's "power" (D3)
+    noise: float = 1.0  # [lab code] factor on the noise of the observation
+    roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
+    cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
+    octaves: int = 1  # [lab code] of the Perlin noise (D22)
+    ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
+    tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
+    friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
+    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
+    com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
+    motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
+    motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error of each joint's encoder
+    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity along each axis
+    motor_model: bool = False  # [IV-A.4] the motors as measured (D11), not an ideal PD controller
+    latency: int = 0  # [lab code] physics steps until a target reaches the motors
+    max_power: float = 0.0  # [IV-A.4] W, more in one control step ends the episode (D17); 0: anything goes
+    reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]
+    aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
+    stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
+
+
+def task_config(task="flat", **changes):
+    """The Config that the paper sets for a task, with changes. Raises ValueError for an unknown task."""
+    if task not in TASKS:
+        raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
+    return Config(**dict(task=task) | TASKS[task].settings | changes)
+
+
+MAY_BE_ZERO = ("threads", "noise", "clock_hz", "latency", "max_power", "ground_seed")
+
+
+def check(num_envs, config, threads):
+    """Raise ValueError, in one line, for what no world can be built from."""
+    task_config(config.task)
+    for name, choices in dict(clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")).items():
+        if (x := getattr(config, name)) not in choices:
+            raise ValueError(f"{name} is {x!r}: it must be one of {', '.join(choices)}")
+    for name, x in (vars(config) | dict(num_envs=num_envs, threads=threads)).items():
+        if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
+            raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
+        least = 0 if name in MAY_BE_ZERO else 1 if isinstance(x, int) else 1e-9
+        if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
+            raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
+    for name in ("friction", "roughness"):
+        if getattr(config, name)[0] < 0:
+            raise ValueError(f"{name} is {getattr(config, name)}: it must not be negative")
+    if config.cells_per_m * 2.0 ** min(config.octaves - 1, 99) * terrain.SPACING > 0.5:
+        raise ValueError(
+            f"cells_per_m {config.cells_per_m} with octaves {config.octaves} is too fine for a ground of points"
+            f" {terrain.SPACING} m apart: cells_per_m * 2**(octaves - 1) can be {0.5 / terrain.SPACING:.0f} at most"
+        )
+    if config.payload[0] <= -5:
+        raise ValueError(f"payload is {config.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")
