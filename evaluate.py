@@ -42,6 +42,9 @@ def by_label(folders, task):
         env_config, learner = run_folder.load_config(folder)
         if env_config.task == task:
             name = "EIPO" if learner.algo == "eipo" else f"PPO({learner.lam:g})"
+            name += (" smooth" if env_config.aux == "smooth" else "") + (
+                " shaped" if env_config.reward == "shaped" else ""
+            )
             groups.setdefault(name, {})[folder] = asdict(env_config) | asdict(learner)
     if not groups:
         raise ValueError(f"none of the run folders is of the task {task}")
@@ -158,7 +161,9 @@ def fig6(folders, args):
 
 def table1(folders, args):
     """Peak velocity of every lambda, beside what the paper prints. Table I."""
-    rows = by_command(folders, "velocity", np.zeros((1, 3)), ("peak", "peak_mean", "v_x", "v_x_late", "power"), args)
+    rows = by_command(
+        folders, "velocity", np.zeros((1, 3)), ("peak", "peak_sustained", "v_x", "v_x_late", "power"), args
+    )
     paper = [dict(zip(("paper", "paper_low", "paper_high"), TABLE1.get(row["run"], [np.nan] * 3), strict=True))
              for row in rows]  # fmt: skip
     rows = [row | printed for row, printed in zip(rows, paper, strict=True)]
@@ -176,25 +181,31 @@ def table1(folders, args):
 
 
 FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1)}
-EVERY, TUNED = ((None, *LAMBDAS), (None, 0.005, 0))  # None is EIPO
-SWEEPS = dict(fig2=[("flat", TUNED)], fig3=[("rough", TUNED)], fig4=[("flat", EVERY), ("rough", EVERY)],
-              table1=[("velocity", EVERY)], fig6=[("velocity", (None, 0.01))])  # fmt: skip
+EIPO = ("--algo", "eipo")
+PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
+SWEEPS = dict(  # task, flags
+    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
+    fig5=[("curriculum", flags)
+          for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
+    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
+    table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
 
 
 def commands(what, flags):
     """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    taken = [flag for flag in ("--task", "--algo", "--lam", "--seed", "--out", "--resume") if flag in flags]
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    taken = [flag for flag in flags if flag.split("=")[0] in own]
     if taken:
         raise ValueError(f"--commands sets {taken[0]} itself")
-    for task, lambdas in SWEEPS[what]:
-        for lam in lambdas:
-            for seed in range(3):
-                algo = ["--algo", "eipo"] if lam is None else ["--algo", "ppo", "--lam", f"{lam:g}"]
-                argv = ["--task", task, *algo, "--seed", str(seed), *flags]
-                if (so_far := progress(argv)) != "done":
-                    yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
+    for task, setting in SWEEPS[what]:
+        for seed in range(3):
+            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
+            if (so_far := progress(argv)) != "done":
+                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
 
 
 def progress(argv):
@@ -219,14 +230,15 @@ def save(out, what, rows, figure):
 
 
 def print_table(folders, args):
-    """A row of a Markdown table for each run folder: means over episodes, and energy over all of their way."""
+    """A row of a Markdown table for each run folder: means over episodes, of the energy the IQM of those that move."""
     print("| run | task performance | fell | v_x [m/s] | power [W] | energy [J/m] |\n|---|---|---|---|---|---|")
     for folder in folders:
         task = run_folder.load_config(Path(folder))[0].task
         roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
         e = measure.run_episodes(*measure.load(folder, args.episodes, args.clip, roughness))
+        energy = measure.summarise("energy", [e.energy])["energy"]
         print(f"| {folder} | {e.performance.mean():.3f} | {100 * e.fell.mean():.1f} % | {e.v_x.mean():.3f} "
-              f"| {e.power.mean():.1f} | {measure.iqm(e.energy[np.isfinite(e.energy)]):.0f} |", flush=True)  # fmt: skip
+              f"| {e.power.mean():.1f} | {energy:.0f} |", flush=True)  # fmt: skip
 
 
 def main(argv):

@@ -33,7 +33,7 @@ class Episodes(NamedTuple):
     power: np.ndarray  # [W] mean total power, without the survival bonus
     energy: np.ndarray  # [J/m] power by v_x (D18), NaN for a robot that hardly moves
     peak: np.ndarray  # [m/s] largest body velocity (D18)
-    peak_mean: np.ndarray  # [m/s] largest mean of 0.2 s
+    peak_sustained: np.ndarray  # [m/s] largest mean of 0.2 s
 
 
 def load(folder, num_episodes, clip=None, roughness=None, threads=0):
@@ -65,7 +65,7 @@ def run_episodes(mean, env, command=None):
     """Episodes of every robot of env; arguments as of `steps`."""
     limit, totals, late = env.config.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
     recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
-    peak, peak_mean = np.full((2, env.num_envs), -np.inf)
+    peak, sustained = np.full((2, env.num_envs), -np.inf)
     for t, (reward, log, alive, falls) in enumerate(steps(mean, env, command)):
         v_x = log["v_x"]
         totals += np.where(alive, [reward, v_x, log["power"], np.ones(env.num_envs)], 0.0)
@@ -75,13 +75,13 @@ def run_episodes(mean, env, command=None):
         recent[t % PEAK_STEPS] = v_x
         peak = np.where(alive, np.maximum(peak, v_x), peak)
         if t + 1 >= PEAK_STEPS:
-            peak_mean = np.where(alive, np.maximum(peak_mean, recent.mean(0)), peak_mean)
+            sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
     rewards, distance, spent, length = totals
     v_x, power = distance / length, spent / length
     nan = np.full(env.num_envs, np.nan)
     v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
     energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
-    return Episodes(rewards / limit, fell, v_x, v_x_late, power, energy, peak, peak_mean)
+    return Episodes(rewards / limit, fell, v_x, v_x_late, power, energy, peak, sustained)
 
 
 def iqm(x, axis=None):

@@ -9,6 +9,7 @@ import ctypes.util
 import itertools
 import os
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -129,6 +130,8 @@ def watch(env, steps, command):
             viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
             time.sleep(max(0.0, env.period - (time.monotonic() - start)))
+    for thread in set(threading.enumerate()) - {threading.current_thread()}:
+        thread.join(5.0)  # the viewer's: GLFW may hang if Python ends before it
 
 
 def main(argv):

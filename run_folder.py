@@ -82,7 +82,7 @@ def load_config(folder):
         return tasks.Config(**tuples(record["env"])), eipo.Config(**tuples(record["learner"]))
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / 'config.json'} is damaged or of another version: {error}") from None
 
 
@@ -93,7 +93,7 @@ def read_npz(path):
             return dict(arrays)
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, NotImplementedError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
 
 

@@ -154,7 +154,8 @@ class Log:
 
 def run_path(options, env_config, config):
     """The run folder: what --out says, or a name that tells the settings."""
-    return Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}-seed{config.seed}")
+    variant = "".join(f"-{x}" for x in (env_config.aux, env_config.reward) if x in ("smooth", "shaped"))
+    return Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}{variant}-seed{config.seed}")
 
 
 def prepare(options, given_env, given_learner, argv):
@@ -167,7 +168,7 @@ def prepare(options, given_env, given_learner, argv):
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_config, config = settle_resumed(folder, given_env, given_learner)
-    elif any((folder / name).exists() and (folder / name).stat().st_size for name in ("checkpoint.npz", "metrics.csv")):
+    elif (folder / "checkpoint.npz").exists():
         raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
     check(config)
     tasks.check(config.num_envs, env_config, options.threads)

@@ -56,7 +56,7 @@ def test_late_velocity_is_of_the_second_half(episodes):
 def test_peak_velocity(episodes):
     """D18. Robot 0: 20 m/s, as a mean of its last ten steps 15.5; robot 1 fell before it had ten."""
     assert episodes.peak.tolist() == [20.0, 2.0, 1 / 32]
-    assert episodes.peak_mean.tolist() == [15.5, -np.inf, 1 / 32]
+    assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 1 / 32]
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
