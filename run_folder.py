@@ -18,6 +18,8 @@ import os
 import platform
 import shlex
 import subprocess
+import sys
+import time
 import zipfile
 from dataclasses import asdict
 from importlib.metadata import version
@@ -166,6 +168,37 @@ def load_policy(path):
         return params, tasks.Config(**tuples(json.loads(str(arrays["config"]))))
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a policy of this version: {error}") from None
+
+
+class Log:
+    """metrics.csv and the console line."""
+
+    def __init__(self, folder, done, iterations):
+        """done: iterations behind us; rows after them are dropped, because they will be computed again."""
+        self.done, self.iterations, self.start = done, iterations, time.monotonic()
+        self.path = folder / "metrics.csv"
+        kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
+        if done and len(kept) < done + 1:
+            raise ValueError(f"{self.path} has lost rows: it ends before iteration {done}, where the checkpoint is")
+        replace_file(self.path, lambda file: file.write("".join(kept).encode()))
+
+    def row(self, iteration, metrics):
+        """Write one row, and what matters of it to the console. Time counts from the last start or resume."""
+        seconds, new = time.monotonic() - self.start, iteration - self.done
+        rate = metrics["steps"] / iteration * new / seconds
+        row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
+        with open(self.path, "a", newline="") as file:  # closed at once: a row is on disk before its checkpoint
+            csv.writer(file, lineterminator="\n").writerows(([row] if iteration == 1 else []) + [row.values()])
+        left = seconds / new * (self.iterations - iteration) / 60
+        line = (
+            f"{iteration}/{self.iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
+            f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
+            + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
+        )
+        if sys.stdout.isatty():
+            print(f"\r{line}\x1b[K", end="", flush=True)
+        elif iteration % 100 == 0 or iteration == self.iterations:
+            print(line, flush=True)
 
 
 def draw_curves(folder):

@@ -6,13 +6,11 @@ and ends with the same bits as one that was never stopped.
 """
 
 import argparse
-import csv
 import inspect
 import re
 import shlex
 import signal
 import sys
-import time
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -67,7 +65,9 @@ def parse(argv):
                 kind = dict(action=argparse.BooleanOptionalAction)
             if field.type is tuple:
                 kind = dict(nargs="+", type=type(field.default[0]))
-            text = f"{comments[field.name]} (default: {field.default})".replace("%", "%%")
+            paper = {task: tasks.TASKS[task].settings | TASKS[task] for task in TASKS}
+            by_task = [f"{task} {x[field.name]}" for task, x in paper.items() if field.name in x]
+            text = f"{comments[field.name]} (default: {', '.join(by_task) or field.default})".replace("%", "%%")
             parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind)
     given = run_folder.tuples(vars(parser.parse_args(argv)))
     return [{f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS]
@@ -121,37 +121,6 @@ def check(cfg):
 # ---- the run ----
 
 
-class Log:
-    """metrics.csv and the console line."""
-
-    def __init__(self, folder, done, iterations):
-        """done: iterations behind us; rows after them are dropped, because they will be computed again."""
-        self.done, self.iterations, self.start = done, iterations, time.monotonic()
-        self.path = folder / "metrics.csv"
-        kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
-        if done and len(kept) < done + 1:
-            raise ValueError(f"{self.path} has lost rows: it ends before iteration {done}, where the checkpoint is")
-        run_folder.replace_file(self.path, lambda file: file.write("".join(kept).encode()))
-
-    def row(self, iteration, metrics):
-        """Write one row, and what matters of it to the console. Time counts from the last start or resume."""
-        seconds, new = time.monotonic() - self.start, iteration - self.done
-        rate = metrics["steps"] / iteration * new / seconds
-        row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
-        with open(self.path, "a", newline="") as file:  # closed at once: a row is on disk before its checkpoint
-            csv.writer(file, lineterminator="\n").writerows(([row] if iteration == 1 else []) + [row.values()])
-        left = seconds / new * (self.iterations - iteration) / 60
-        line = (
-            f"{iteration}/{self.iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
-            f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
-            + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
-        )
-        if sys.stdout.isatty():
-            print(f"\r{line}\x1b[K", end="", flush=True)
-        elif iteration % 100 == 0 or iteration == self.iterations:
-            print(line, flush=True)
-
-
 def run_path(options, env_config, config):
     """The run folder: what --out says, or a name that tells the settings."""
     variant = "".join(f"-{x}" for x in (env_config.aux, env_config.reward) if x in ("smooth", "shaped"))
@@ -195,7 +164,7 @@ def train(folder, env_config, config, options, asked):
     first, _ = next(eipo.eipo(env, env_prime, config))  # a fresh State, also the template of a saved one
     if options.resume:
         first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)
-    log = Log(folder, first.iteration, config.iterations)
+    log = run_folder.Log(folder, first.iteration, config.iterations)
     print(f"{folder}: {config.algo} on {env_config.task}, {config.num_envs} environments. Compiling (once, ~15 s) ...")
     for state, metrics in eipo.eipo(env, env_prime, config, resume=first):
         if metrics:
