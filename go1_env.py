@@ -77,9 +77,7 @@ class Go1Env:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        self.contacts = batch.bind(
-            "sensordata"
-        )  # (N, 17) contacts of trunk, hips and thighs, calves, feet with the ground
+        self.contacts = batch.bind("sensordata")  # (N, 17) of the ground with trunk, hips, thighs; calves; feet
         self.forbidden = slice(13 if self.task.only_feet else 9)
         self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
         self.com, self.gravity = batch.expand("body_ipos"), batch.expand("opt.gravity")

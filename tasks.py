@@ -77,7 +77,7 @@ class Config:
     payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
     com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
     motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
-    motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error of each joint's encoder
+    motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error in where each motor's zero is
     gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity along each axis
     motor_model: bool = False  # [IV-A.4] the motors as measured (D11), not an ideal PD controller
     latency: int = 0  # [lab code] physics steps until a target reaches the motors
