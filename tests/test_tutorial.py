@@ -1,0 +1,256 @@
+"""tutorial.md, executed: its outputs, figures, quotes, names and flags are those of this repository.
+
+`python tests/test_tutorial.py --write` runs the page and writes what comes out into it and into tutorial/.
+"""
+
+import ast
+import codeop
+import contextlib
+import inspect
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).parents[1]
+if __name__ == "__main__":
+    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import evaluate
+import play
+import train
+from tutorial import figures
+
+PAGE = ROOT / "tutorial.md"
+BLOCK = re.compile(r"^```(\w+)[ ]?(.*)\n((?:.*\n)*?)^```$", re.M)  # language, the rest of that line, content
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+MODULES = {path.stem for path in ROOT.glob("*.py")} | {"results", "tutorial"}
+
+
+def blocks(language):
+    """[(info, content)] of the page's fenced blocks in that language."""
+    return [(info, content) for kind, info, content in BLOCK.findall(PAGE.read_text()) if kind == language]
+
+
+def rerun(code, scope):
+    """Run a block, a statement at a time; returns it with what each one printed below it, as #> lines."""
+    code = re.sub(r"^#>.*\n", "", code, flags=re.M)
+    lines, result, done = code.splitlines(), [], 0
+    for statement in ast.parse(code).body:
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            exec(compile(ast.Module([statement], []), PAGE.name, "exec"), scope)
+        result += lines[done : statement.end_lineno] + [f"#> {x}".rstrip() for x in printed.getvalue().splitlines()]
+        done = statement.end_lineno
+    return "\n".join([*result, *lines[done:]]) + "\n"
+
+
+def run_page():
+    """The page with all its python blocks run in order in one namespace, in the root of the repository."""
+    scope, before = {"__name__": "tutorial"}, list(sys.path)
+
+    def replace(match):
+        kind, info, content = match.groups()
+        if kind != "python" or info:
+            return match[0]
+        return f"```python\n{rerun(content, scope)}```"
+
+    with contextlib.chdir(ROOT):
+        try:
+            return BLOCK.sub(replace, PAGE.read_text())
+        finally:
+            sys.path[:] = before
+
+
+def alike(shown, printed):
+    """Whether two lines agree: words and whole numbers exactly, decimal fractions to one unit of the last place."""
+    if NUMBER.sub("#", shown).split() != NUMBER.sub("#", printed).split():
+        return False
+    pairs = zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
+    return all(abs(float(a) - float(b)) <= ("." in a) * 1.01 * 10.0 ** -len(a.partition(".")[2]) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The page as it comes out now, and the columns of its figures."""
+    drawn = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "draw", lambda name, **columns: drawn.update({name: columns}))
+        return run_page(), drawn
+
+
+def test_outputs_are_those_of_the_page(page):
+    """If this fails because something was meant to change: python tests/test_tutorial.py --write, and read the page."""
+    shown, printed = PAGE.read_text().splitlines(), page[0].splitlines()
+    wrong = [(a, b) for a, b in zip(shown, printed, strict=False) if not alike(a, b)]
+    assert not wrong and len(shown) == len(printed), wrong[:3]
+
+
+def test_blocks_can_be_pasted():
+    """Line by line into any Python prompt: what is indented ends with an empty line."""
+    for info, content in blocks("python"):
+        pending = []
+        for line in [] if info else [*content.splitlines(), ""]:
+            pending.append(line)
+            if codeop.compile_command("\n".join(pending), symbol="single") is not None:
+                pending = []
+        assert not "".join(pending), pending
+
+
+def test_alike_is_strict_enough():
+    assert alike("alpha 2.00, 3 runs", "alpha  1.99, 3 runs")
+    assert not alike("alpha 2.00", "alpha 1.98")
+    assert not alike("3 runs", "4 runs") and not alike("a 1.0", "b 1.0") and not alike("1.0", "1.0 2.0")
+
+
+def read_csv(path):
+    header, *rows = path.read_text().splitlines()
+    columns = zip(*(row.split(",") for row in rows), strict=True)
+    return {key: [float(x) for x in column if x] for key, column in zip(header.split(","), columns, strict=True)}
+
+
+def test_figures_show_what_the_page_computed(page):
+    """Data beside data: every number of tutorial/*.csv, and no pixel."""
+    drawn = page[1]
+    assert set(drawn) == set(figures.FIGURES) == {path.stem for path in figures.HERE.glob("*.csv")}
+    for name, columns in drawn.items():
+        saved = read_csv(figures.HERE / f"{name}.csv")
+        assert list(saved) == list(columns), name
+        for key, x in columns.items():
+            scale = np.abs(x).max()
+            np.testing.assert_allclose(np.ravel(x), saved[key], rtol=1e-3, atol=1e-3 * scale, err_msg=f"{name}: {key}")
+
+
+def test_figures_are_drawn_from_their_data_and_shown():
+    for name in figures.FIGURES:
+        text = (figures.HERE / f"{name}.csv").read_text()
+        with Image.open(figures.HERE / f"{name}.png") as image:
+            assert image.text["Description"] == figures.checksum(text), f"{name}.png is not of {name}.csv"
+            assert np.asarray(image.convert("RGBA"))[0, 0].tolist() == [255, 255, 255, 255]
+        assert f"(tutorial/{name}.png)" in PAGE.read_text()
+
+
+def excerpt_of(part, whole):
+    """Whether the lines of part stand in whole, one after the other, all indented by the same amount."""
+    part, whole = part.splitlines(), whole.splitlines()
+    for start in range(len(whole) - len(part) + 1):
+        found = whole[start : start + len(part)]
+        indent = " " * (len(found[0]) - len(found[0].lstrip()) - len(part[0]) + len(part[0].lstrip()))
+        if found == [indent + line if line else "" for line in part]:
+            return True
+    return False
+
+
+def resolve(name):
+    """What a dotted name stands for."""
+    module, *rest = name.split(".")
+    found = sys.modules.get(module) or __import__(module)
+    for attribute in rest:
+        fields = getattr(found, "__dataclass_fields__", None) or getattr(found, "_fields", ())
+        found = getattr(found, attribute, None) or (attribute in fields) or getattr(found, attribute)
+    return found
+
+
+QUOTES = [(info.removeprefix("source="), code) for info, code in blocks("python") if info]
+
+
+@pytest.mark.parametrize(("name", "code"), QUOTES, ids=[name for name, _ in QUOTES])
+def test_quotes_are_verbatim(name, code):
+    assert excerpt_of(code, inspect.getsource(inspect.unwrap(resolve(name))))
+
+
+def test_excerpt_needs_every_character():
+    whole = "def f():\n    a = 1\n\n    return a\n"
+    assert excerpt_of("a = 1\n\nreturn a\n", whole)
+    assert not excerpt_of("a = 1\nreturn a\n", whole) and not excerpt_of("a = 2\n", whole)
+
+
+def test_names_and_files_in_the_prose_exist():
+    prose = BLOCK.sub("", PAGE.read_text())
+    tests = "".join(path.read_text() for path in (ROOT / "tests").glob("test_*.py"))
+    named = set(re.findall(r"`([^`\n]+)`", prose))
+    for name in named:
+        if re.fullmatch(r"test_\w+", name):
+            assert f"def {name}(" in tests, name
+        elif re.fullmatch(r"[\w./-]+\.(py|md|csv|npz|json|xml|png)", name) and "runs/" not in name:
+            assert list(ROOT.rglob(Path(name).name)), name
+        elif re.fullmatch(r"\w+(\.\w+)+", name) and name.split(".")[0] in MODULES:
+            assert resolve(name) is not None, name
+    for link in re.findall(r"\]\(([^)#:]+)\)", prose):
+        assert (ROOT / link).exists(), link
+    deviations = set(re.findall(r"^\| (D\d+) ", (ROOT / "README.md").read_text(), re.M)) | {"D12"}
+    assert set(re.findall(r"\bD\d+\b", prose)) <= deviations
+
+
+def flags_of(main):
+    """The flags in the help of a command."""
+    with contextlib.redirect_stdout(io.StringIO()) as text, pytest.raises(SystemExit):
+        main(["-h"])
+    return set(re.findall(r"--[\w-]+", text.getvalue()))
+
+
+def test_commands_parse():
+    commands = [line for _, content in blocks("sh") for line in content.splitlines()]
+    assert {shlex.split(line)[1] for line in commands} >= {"train.py", "evaluate.py", "play.py"}
+    for line in commands:
+        python, script, *argv = shlex.split(line, comments=True)
+        assert python == "python" and (ROOT / script).exists(), line
+        if script == "train.py":
+            _, env, learner = train.parse(argv)
+            train.check(train.settle(env, learner)[1])
+        else:
+            known = {"evaluate.py": evaluate.main, "play.py": play.main}
+            allowed = flags_of(known[script]) if script in known else {"--write"}
+            assert {x for x in argv if x.startswith("--")} <= allowed, line
+
+
+SABOTAGES = [(re.findall(r"\w+=(\S+)", info), diff) for info, diff in blocks("diff")]
+
+
+def sabotaged(path, diff):
+    """The text of path with the - lines of diff, which stand there once, replaced by its + lines."""
+    removed, added = ("".join(x[1:] for x in diff.splitlines(keepends=True) if x[0] == sign) for sign in "-+")
+    text = path.read_text()
+    assert text.count(removed) == 1, removed
+    return text.replace(removed, added)
+
+
+@pytest.mark.parametrize(("where", "diff"), SABOTAGES, ids=[where[1] for where, _ in SABOTAGES])
+def test_sabotages_fit_the_source(where, diff):
+    file, test = where
+    ast.parse(sabotaged(ROOT / file, diff))
+    assert sum(f"def {test}(" in path.read_text() for path in (ROOT / "tests").glob("test_*.py")) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("where", "diff"), SABOTAGES, ids=[where[1] for where, _ in SABOTAGES])
+def test_sabotages_are_caught_by_the_test_they_name(where, diff, tmp_path):
+    """In a copy of the repository: the named test passes before, and fails after."""
+    file, test = where
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in [*ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"]:
+        shutil.copy(path, copy)
+    shutil.copytree(ROOT / "tests", copy / "tests")
+    home = next(p.name for p in (ROOT / "tests").glob("test_*.py") if f"def {test}(" in p.read_text())
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"tests/{home}", "-k", test]
+    before = subprocess.run(command, cwd=copy, capture_output=True, text=True)
+    assert before.returncode == 0, before.stdout
+    (copy / file).write_text(sabotaged(copy / file, diff))
+    after = subprocess.run(command, cwd=copy, capture_output=True, text=True)
+    assert after.returncode == 1 and f"FAILED tests/{home}::{test}" in after.stdout, after.stdout
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] != ["--write"]:
+        sys.exit("usage: python tests/test_tutorial.py --write")
+    PAGE.write_text(run_page())
+    print(f"{PAGE.name} and {figures.HERE.name}/ are up to date: look at what changed")
