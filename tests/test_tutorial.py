@@ -31,14 +31,15 @@ import train
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
-BLOCK = re.compile(r"^```(\w+)[ ]?(.*)\n((?:.*\n)*?)^```$", re.M)  # language, the rest of that line, content
+BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
+QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 MODULES = {path.stem for path in ROOT.glob("*.py")} | {"results", "tutorial"}
 
 
 def blocks(language):
-    """[(info, content)] of the page's fenced blocks in that language."""
-    return [(info, content) for kind, info, content in BLOCK.findall(PAGE.read_text()) if kind == language]
+    """The page's fenced blocks in that language."""
+    return [content for kind, content in BLOCK.findall(PAGE.read_text()) if kind == language]
 
 
 def rerun(code, scope):
@@ -58,8 +59,8 @@ def run_page():
     scope, before = {"__name__": "tutorial"}, list(sys.path)
 
     def replace(match):
-        kind, info, content = match.groups()
-        if kind != "python" or info:
+        kind, content = match.groups()
+        if kind != "python" or QUOTED.match(content):
             return match[0]
         return f"```python\n{rerun(content, scope)}```"
 
@@ -96,9 +97,9 @@ def test_outputs_are_those_of_the_page(page):
 
 def test_blocks_can_be_pasted():
     """Line by line into any Python prompt: what is indented ends with an empty line."""
-    for info, content in blocks("python"):
+    for content in blocks("python"):
         pending = []
-        for line in [] if info else [*content.splitlines(), ""]:
+        for line in [] if QUOTED.match(content) else [*content.splitlines(), ""]:
             pending.append(line)
             if codeop.compile_command("\n".join(pending), symbol="single") is not None:
                 pending = []
@@ -159,7 +160,7 @@ def resolve(name):
     return found
 
 
-QUOTES = [(info.removeprefix("source="), code) for info, code in blocks("python") if info]
+QUOTES = [(found[1], code[found.end() :]) for code in blocks("python") if (found := QUOTED.match(code))]
 
 
 @pytest.mark.parametrize(("name", "code"), QUOTES, ids=[name for name, _ in QUOTES])
@@ -198,7 +199,7 @@ def flags_of(main):
 
 
 def test_commands_parse():
-    commands = [line for _, content in blocks("sh") for line in content.splitlines()]
+    commands = [line for content in blocks("sh") for line in content.splitlines()]
     assert {shlex.split(line)[1] for line in commands} >= {"train.py", "evaluate.py", "play.py"}
     for line in commands:
         python, script, *argv = shlex.split(line, comments=True)
@@ -212,7 +213,7 @@ def test_commands_parse():
             assert {x for x in argv if x.startswith("--")} <= allowed, line
 
 
-SABOTAGES = [(re.findall(r"\w+=(\S+)", info), diff) for info, diff in blocks("diff")]
+SABOTAGES = [re.fullmatch(r"@@ (\S+), caught by (\w+) @@\n((?:.*\n)+)", diff).groups() for diff in blocks("diff")]
 
 
 def sabotaged(path, diff):
@@ -223,18 +224,16 @@ def sabotaged(path, diff):
     return text.replace(removed, added)
 
 
-@pytest.mark.parametrize(("where", "diff"), SABOTAGES, ids=[where[1] for where, _ in SABOTAGES])
-def test_sabotages_fit_the_source(where, diff):
-    file, test = where
+@pytest.mark.parametrize(("file", "test", "diff"), SABOTAGES, ids=[test for _, test, _ in SABOTAGES])
+def test_sabotages_fit_the_source(file, test, diff):
     ast.parse(sabotaged(ROOT / file, diff))
     assert sum(f"def {test}(" in path.read_text() for path in (ROOT / "tests").glob("test_*.py")) == 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("where", "diff"), SABOTAGES, ids=[where[1] for where, _ in SABOTAGES])
-def test_sabotages_are_caught_by_the_test_they_name(where, diff, tmp_path):
+@pytest.mark.parametrize(("file", "test", "diff"), SABOTAGES, ids=[test for _, test, _ in SABOTAGES])
+def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, tmp_path):
     """In a copy of the repository: the named test passes before, and fails after."""
-    file, test = where
     copy = tmp_path / "copy"
     copy.mkdir()
     for path in [*ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"]:
