@@ -96,7 +96,7 @@ def ground(c):
     heights = np.stack([c[key] for key in c if key.startswith("row")]) * 100
     figure = Figure(figsize=(8, 3.1), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.4))
-    image = left.imshow(heights.T, origin="lower", extent=(0, 4, 0, 4), cmap="cividis")
+    image = left.imshow(heights, origin="lower", extent=(0, 4, 0, 4), cmap="cividis")
     figure.colorbar(image, label="height [cm]")
     left.axhline(2, color="white", linestyle=":")
     left.set(title="a tile, 15 cm rough", xlabel="x [m]", ylabel="y [m]")
