@@ -230,7 +230,10 @@ def save(out, what, rows, figure):
 
 
 def print_table(folders, args):
-    """A row of a Markdown table for each run folder: means over episodes, of the energy the IQM of those that move."""
+    """A row of a Markdown table for each run folder: means over episodes, of the energy the IQM of those that move.
+
+    Commands are those of the task; for the curriculum, those that training starts with.
+    """
     print("| run | task performance | fell | v_x [m/s] | power [W] | energy [J/m] |\n|---|---|---|---|---|---|")
     for folder in folders:
         task = run_folder.load_config(Path(folder))[0].task

@@ -37,8 +37,8 @@ import rewards
 import tasks
 import terrain
 
-GRAVITY, DOWN = np.array([0.0, 0.0, -9.81]), np.array([0.0, 0.0, -1.0])  # m/s^2, -
-LEGS, FEET = slice(1, 13), slice(13, 17)  # contact sensors of go1.xml: hips, thighs, calves; feet
+GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
+LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: thighs, calves; feet
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hips half [lab code]
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
@@ -91,6 +91,7 @@ class Go1Env:
         self.weights = curriculum.initial_weights()
         self.cell = np.zeros((num_envs, 2), np.int64)  # of the curriculum, where the command is from
         self.air_time = np.zeros((num_envs, 4))  # s, how long each foot has been off the ground
+        self.touch = np.zeros((num_envs, 4), bool)  # which feet were on the ground in the step before
         self.tracked = np.zeros((num_envs, 2))  # sums of the kernels of Eq. (8) since the command was drawn
         self.rng = np.random.default_rng(0)
 
@@ -102,6 +103,7 @@ class Go1Env:
         """
         self.given = None if command is None else np.broadcast_to(command, (self.num_envs, 3)).astype(float)
         self.rng = np.random.default_rng(seed)
+        self.weights[:], self.tracked[:] = curriculum.initial_weights(), 0.0
         everyone = np.arange(self.num_envs)
         self._reset(everyone)
         if self.config.stagger:
@@ -126,7 +128,7 @@ class Go1Env:
         linear, yaw_rate = self._velocity()
         velocity = np.column_stack([linear[:, :2], yaw_rate])
         # MuJoCo resets what is not finite and counts a warning
-        diverged = self.batch.warning[..., 1].any(-1)
+        diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.action).all(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
         reward, extra = self._reward(velocity, linear[:, 2], *efforts, self.action - before)
         reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
@@ -137,8 +139,8 @@ class Go1Env:
         self._stay_on_tile()
         log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_fall=fell & ~diverged,
                    ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
-        if self.task.curriculum:
-            log |= dict(ended_power=overload & ~fell)
+        if self.task.curriculum or self.config.max_power:
+            log |= dict(ended_power=overload & ~fell & ~diverged)
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
         self.frames[:, -1] = self._frame(np.arange(self.num_envs))
@@ -163,7 +165,7 @@ class Go1Env:
         self.rng.bit_generator.state = json.loads(str(state["rng"]))
 
     _state = ("frames", "action", "command", "age", "tile", "friction", "mass", "com", "gravity", "strength", "offset",
-              "targets", "weights", "cell", "tracked", "air_time")  # fmt: skip
+              "targets", "weights", "cell", "tracked", "air_time", "touch")  # fmt: skip
 
     def _physics(self, target):
         """Apply joint targets for one control step: mean power of its physics steps [W], their cost, who fell, efforts.
@@ -204,14 +206,15 @@ class Go1Env:
 
     def _motion(self, velocity, v_z, torques, qdd, action_change):
         """What the shaped reward looks at: rewards.Motion."""
-        touching = self.contacts[:, FEET] > 0
-        landed = np.where(touching & (self.air_time > 0), self.air_time, 0.0)
-        self.air_time[:] = np.where(touching, 0.0, self.air_time + self.period)
+        touch = self.contacts[:, FEET] > 0
+        touching = touch | self.touch  # a foot that bounces for a step has not left the ground [lab code]
+        landed = np.where(touching & (self.air_time > 0), self.air_time + self.period, 0.0)
+        self.air_time[:], self.touch[:] = np.where(touching, 0.0, self.air_time + self.period), touch
         to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
         return rewards.Motion(
             velocity=velocity, command=self.command, v_z=v_z, roll_pitch_rate=self.qvel[:, 3:5],
-            gravity=to_world.apply(DOWN, inverse=True), torque=torques[-1], qdd=qdd,
+            gravity=to_world.apply(self._down(), inverse=True), torque=torques[-1], qdd=qdd,
             height=self.qpos[:, 2] - ground, landed=landed, collisions=(self.contacts[:, LEGS] > 0).sum(-1),
             action_change=action_change, q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
 
@@ -219,6 +222,10 @@ class Go1Env:
         """Who left the tile comes back on the other side, where the ground goes on: nothing else changes."""
         if self.ground is not None:
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], self.tile)
+
+    def _down(self):
+        """Unit vectors (N, 3) along gravity, as an accelerometer feels it: also the part that was added to it."""
+        return self.gravity / np.linalg.norm(self.gravity, axis=-1, keepdims=True)
 
     def _velocity(self):
         """True velocity of the trunk in its own frame: linear (N, 3) [m/s] and yaw rate (N,) [rad/s]."""
@@ -230,7 +237,7 @@ class Go1Env:
         to_world = Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
         phase = 2 * np.pi * self.config.clock_hz * self.period * self.age[ids]
         frame = np.column_stack([
-            to_world.apply(DOWN, inverse=True),  # gravity
+            to_world.apply(self._down()[ids], inverse=True),  # gravity
             self.command[ids],
             self.qpos[ids, 7:] - go1.Q_NOMINAL,  # q
             self.qvel[ids, 6:],  # qd
@@ -250,7 +257,7 @@ class Go1Env:
             self.command[ids] = self.given[ids]
         elif self.task.curriculum:
             success = curriculum.succeeded(*(self.tracked[ids] / self.config.command_steps).T)
-            self.weights = curriculum.update(self.weights, self.cell[ids], success)
+            self.weights[:] = curriculum.update(self.weights, self.cell[ids], success)  # in place: pi and pi' share it
             self.tracked[ids] = 0.0
             self.command[ids], self.cell[ids] = curriculum.sample(self.weights, self.rng, len(ids))
         else:
@@ -280,7 +287,7 @@ class Go1Env:
         self.gravity[ids] = GRAVITY + uniform(*self.config.gravity, (n, 3))
         self.strength[ids] = uniform(*self.config.motor_strength, (n, 1))
         self.offset[ids] = uniform(*self.config.motor_offset, (n, 12))
-        self.targets[:, ids], self.air_time[ids] = go1.Q_NOMINAL, 0.0
+        self.targets[:, ids], self.air_time[ids], self.touch[ids] = go1.Q_NOMINAL, 0.0, False
         self.action[ids], self.age[ids] = 0.0, 0
         self._draw_commands(ids)
         self.frames[ids] = self._frame(ids)[:, None]

@@ -148,7 +148,8 @@ def main(argv):
     try:
         _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
         env = make_env(config, args.roughness)
-        command = np.array(env.task.command_high if args.command is None else args.command, float)
+        greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
+        command = np.array(greatest if args.command is None else args.command, float)
         if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:
             raise ValueError("--command takes three finite numbers, --seconds one from 0.1 to 600")
         steps = play(env, args.run, command, args.follow)

@@ -78,8 +78,8 @@ class Config:
     com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
     motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
     motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error in where each motor's zero is
-    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity along each axis
-    motor_model: bool = False  # [IV-A.4] the motors as measured (D11), not an ideal PD controller
+    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range added to gravity along each axis (there anew every 8 s)
+    motor_model: bool = False  # [IV-A.4] a model of the real motors (D11), not an ideal PD controller
     latency: int = 0  # [lab code] physics steps until a target reaches the motors
     max_power: float = 0.0  # [IV-A.4] W, more in one control step ends the episode (D17); 0: anything goes
     reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]

@@ -161,6 +161,8 @@ def train(folder, env_config, config, options, asked):
     policies = 2 if config.algo == "eipo" else 1
     envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
     env, env_prime = (*envs, None)[:2]
+    if env_prime is not None:
+        env_prime.weights = env.weights  # one curriculum, or J(pi) and J(pi') would be of different commands
     first, _ = next(eipo.eipo(env, env_prime, config))  # a fresh State, also the template of a saved one
     if options.resume:
         first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)

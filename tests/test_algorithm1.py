@@ -268,7 +268,7 @@ def toy(J, climb, cfg, iterations):
 
 
 def capped(theta):
-    """As Eq. (5): faster than the command of 1 earns no more."""
+    """Faster than the command of 1 earns no more, as in Eq. (5), which has no kink there, however."""
     return min(theta, 1.0)
 
 

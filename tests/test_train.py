@@ -255,3 +255,16 @@ def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(fi
     assert header.count("|") == row.count("|") == 7 and 0 < float(row.split("|")[2]) < 1.5
     assert evaluate.main([str(tmp_path)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
+    """D23: else the better policy would get the harder commands, and J(pi) - J(pi') would compare two tasks."""
+    made = []
+    environment = train.go1_env.Go1Env
+    monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
+    assert run("--task", "curriculum", "--out", tmp_path / "run") == 0
+    env, env_prime = made
+    env_prime.cell[:], env_prime.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
+    env_prime._draw_commands(np.array([0]))
+    assert env.weights[4, 22] == pytest.approx(0.2)
+    assert (tmp_path / "run" / "commands.png").stat().st_size > 1000
