@@ -42,9 +42,7 @@ def by_label(folders, task):
         env_config, learner = run_folder.load_config(folder)
         if env_config.task == task:
             name = "EIPO" if learner.algo == "eipo" else f"PPO({learner.lam:g})"
-            name += (" smooth" if env_config.aux == "smooth" else "") + (
-                " shaped" if env_config.reward == "shaped" else ""
-            )
+            name += " smooth" * (env_config.aux == "smooth") + " shaped" * (env_config.reward == "shaped")
             groups.setdefault(name, {})[folder] = asdict(env_config) | asdict(learner)
     if not groups:
         raise ValueError(f"none of the run folders is of the task {task}")
