@@ -9,7 +9,6 @@ How policies are measured is in `measure.py`.
 
 import argparse
 import csv
-import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -20,10 +19,9 @@ from matplotlib.figure import Figure
 
 import measure
 import run_folder
-import train
+import sweep
 
-LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
-KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in sweep.LAMBDAS))
 TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
                           (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
@@ -179,42 +177,6 @@ def table1(folders, args):
 
 
 FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1)}
-EIPO = ("--algo", "eipo")
-PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
-SWEEPS = dict(  # task, flags
-    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
-    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
-    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
-    fig5=[("curriculum", flags)
-          for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
-    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
-    table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
-
-
-def commands(what, flags):
-    """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
-    if what not in SWEEPS:
-        raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
-    taken = [flag for flag in flags if flag.split("=")[0] in own]
-    if taken:
-        raise ValueError(f"--commands sets {taken[0]} itself")
-    for task, setting in SWEEPS[what]:
-        for seed in range(3):
-            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            if (so_far := progress(argv)) != "done":
-                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
-
-
-def progress(argv):
-    """How far the run of these train.py arguments is: "", "started" or "done"."""
-    options, given_env, given_learner = train.parse(argv)
-    env_config, config = train.settle(given_env, given_learner)
-    folder = train.run_path(train.Options(**options), env_config, config)
-    if not (folder / "checkpoint.npz").exists():
-        return ""
-    train.settle_resumed(folder, asdict(env_config), asdict(config))  # raises if it is a run of other settings
-    return "done" if len((folder / "metrics.csv").read_text().splitlines()) > config.iterations else "started"
 
 
 def save(out, what, rows, figure):
@@ -257,7 +219,7 @@ def main(argv):
     )
     try:
         if argv[:1] == ["--commands"]:
-            print(*commands("".join(argv[1:2]), argv[2:]), sep="\n")
+            print(*sweep.commands("".join(argv[1:2]), argv[2:]), sep="\n")
             return 0
         args = parser.parse_intermixed_args(argv)
         if args.episodes < 1:

@@ -96,8 +96,7 @@ def save_gif(path, env, steps, seconds, command):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
     model, data = make_scene(env)
     images, camera = [], mujoco.MjvCamera()
-    for _ in itertools.islice(steps, round(1 / env.period)):
-        pass
+    next(itertools.islice(steps, round(1 / env.period) - 1, None))
     point(camera, env, model)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
         for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):

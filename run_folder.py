@@ -95,7 +95,7 @@ def read_npz(path):
             return dict(arrays)
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, NotImplementedError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, RuntimeError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
 
 

@@ -5,6 +5,7 @@ collected: task reward, speed, power and alpha over environment steps, each a ru
 """
 
 import csv
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -21,7 +22,8 @@ def collect(run, into):
     """Copy what is worth keeping of one run."""
     to = into / run.name
     to.mkdir(parents=True, exist_ok=True)
-    shutil.copy(run / "config.json", to)
+    config = (run / "config.json").read_text()
+    (to / "config.json").write_text(re.sub(r"--out \S*/(?=\S)", "--out runs/", config))  # wherever the runs were kept
     header, *rows = (run / "metrics.csv").read_text().splitlines()
     (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
     if "eipo" in run.name:

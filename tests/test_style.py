@@ -28,6 +28,7 @@ LAYERS = {
     "eipo": {"numpy", "jax", "optax"},
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),
+    "sweep": set(),
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
     "play": {"numpy", "jax", "mujoco", "PIL"},
