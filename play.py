@@ -11,7 +11,6 @@ import os
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -26,48 +25,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import eipo
-import go1
-import go1_env
 import run_folder
-import terrain
+import scene
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
 SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
-AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is on the middle one
-
-
-def make_env(config, roughness=None):
-    """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
-    level = config.roughness[1] if roughness is None else roughness
-    changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(config, **changes), threads=1)
-
-
-def make_scene(env):
-    """Model and data to draw env with: the ground goes on as far as one can see, but only the robot's tile is real."""
-    ground = env.ground
-    if ground is not None:
-        margin = round(terrain.APRON / terrain.SPACING)
-        ground = ground._replace(heights=np.tile(ground.heights[margin:-margin, margin:-margin], (AROUND, AROUND)))
-    model = go1.build_model(env.config.timestep, ground)
-    return model, mujoco.MjData(model)
-
-
-def show(env, model, data):
-    """Put the drawn robot where the simulated one is."""
-    data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
-    if env.ground is not None:
-        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.tile[0])
-    mujoco.mj_forward(model, data)
-
-
-def point(camera, env, model):
-    """Let a camera follow the trunk, from the front right of where the robot heads now."""
-    w, x, y, z = env.qpos[0, 3:7]
-    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
-    camera.distance, camera.elevation = 1.7, -20.0
-    camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def play(env, folder, command, follow=False):
@@ -94,13 +57,13 @@ def caption(log, command):
 
 def save_gif(path, env, steps, seconds, command):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
-    model, data = make_scene(env)
+    model, data = scene.make_scene(env)
     images, camera = [], mujoco.MjvCamera()
     next(itertools.islice(steps, round(1 / env.period) - 1, None))
-    point(camera, env, model)
+    scene.point(camera, env, model)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
         for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):
-            show(env, model, data)
+            scene.show(env, model, data)
             renderer.update_scene(data, camera)
             image = Image.fromarray(renderer.render())
             ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
@@ -116,16 +79,16 @@ def watch(env, steps, command):
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
-    model, data = make_scene(env)
+    model, data = scene.make_scene(env)
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
-        point(viewer.cam, env, model)
+        scene.point(viewer.cam, env, model)
         while viewer.is_running():
             start = time.monotonic()
             log = next(steps)
             with viewer.lock():
-                show(env, model, data)
+                scene.show(env, model, data)
             viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
             time.sleep(max(0.0, env.period - (time.monotonic() - start)))
@@ -146,7 +109,7 @@ def main(argv):
     args = parser.parse_args(argv)
     try:
         _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
-        env = make_env(config, args.roughness)
+        env = scene.make_env(config, args.roughness)
         greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
         command = np.array(greatest if args.command is None else args.command, float)
         if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:

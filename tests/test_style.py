@@ -31,6 +31,7 @@ LAYERS = {
     "sweep": set(),
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
+    "scene": {"numpy", "mujoco"},
     "play": {"numpy", "jax", "mujoco", "PIL"},
 }
 
