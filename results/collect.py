@@ -1,6 +1,6 @@
 """Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
-For each run: config.json, every tenth row of metrics.csv, and policy.npz for EIPO. Then curves.png, from what was
+For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png, from what was
 collected: task reward, speed, power and alpha over environment steps, each a running mean of 100 iterations.
 """
 
@@ -26,8 +26,8 @@ def collect(run, into):
     (to / "config.json").write_text(re.sub(r"--out \S*/(?=\S)", "--out runs/", config))  # wherever the runs were kept
     header, *rows = (run / "metrics.csv").read_text().splitlines()
     (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
-    if "eipo" in run.name:
-        shutil.copy(run / "policy.npz", to)
+    for name in ("policy.npz",) * ("eipo" in run.name) + ("commands.png",) * (run / "commands.png").exists():
+        shutil.copy(run / name, to)
 
 
 def columns(folder):
