@@ -1,7 +1,8 @@
 """Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
-For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png, from what was
-collected: task reward, speed, power and alpha over environment steps, each a running mean of 100 iterations.
+For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png,
+from what was collected: task reward, speed, power and alpha over environment steps, each a running mean of 100
+iterations.
 """
 
 import csv
