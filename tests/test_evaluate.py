@@ -120,14 +120,12 @@ def test_fig5_has_121_commands(runs, tmp_path):
     assert distinct(rows, "episodes") == ["1"] and {"performance", "power"} < set(rows[0])
 
 
-def test_fig6_has_a_row_each_fifth_of_a_second(runs, tmp_path):
-    """16 steps are 0.32 s: samples at 0.1 s and 0.3 s, if an untrained robot lasts so long: the second may be NaN."""
+def test_fig6_has_a_row_for_each_stride(runs, tmp_path):
+    """16 steps are one stride, in the middle of which 0.16 s have passed; who fell in it does not count."""
     rows, size = figure(tmp_path, "fig6", runs["velocity_ppo"], runs["velocity"])
-    assert [(row["run"], row["time"]) for row in rows] == [
-        (k, t) for k in ("EIPO", "PPO(0.01)") for t in ("0.1", "0.3")
-    ]
+    assert [(row["run"], row["time"]) for row in rows] == [("EIPO", "0.16"), ("PPO(0.01)", "0.16")]
     assert distinct(rows, "episodes") == ["22"] and size == (750, 540)
-    assert all(-3 < float(row["v_x_low"]) <= float(row["v_x"]) <= float(row["v_x_high"]) < 3 for row in rows[::2])
+    assert all(-3 < float(row["v_x_low"]) <= float(row["v_x"]) <= float(row["v_x_high"]) < 3 for row in rows)
 
 
 def test_table1_has_what_the_paper_prints(runs, tmp_path):
@@ -215,10 +213,13 @@ def test_table1_by_hand(runs, scripted, unsaved, monkeypatch):
 
 
 def test_fig6_by_hand(runs, monkeypatch, tmp_path):
-    """v_x is the step's number, of robot 1 one more until it falls in step 10: (5 + 6) / 2 at 0.1 s, 15 at 0.3 s."""
+    """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two strides of 17.
+
+    Steps 1 to 17 have the mean 9, in the middle of 0 to 0.34 s; steps 18 to 34 the mean 26, at 0.51 s.
+    """
 
     def steps(*_):
-        for t in range(1, 17):
+        for t in range(1, 35):
             yield np.zeros(2), dict(v_x=np.array([t, t + 1.0])), np.array([True, t <= 10]), np.array([False, t == 10])
 
     loaded = []
@@ -228,7 +229,7 @@ def test_fig6_by_hand(runs, monkeypatch, tmp_path):
     monkeypatch.setattr(measure, "steps", steps)
     argv = ["fig6", runs["velocity"], "--episodes", "2", "--clip", "torque", "--roughness", "0.08"]
     assert evaluate.main([*argv, "--out", str(tmp_path)]) == 0
-    assert [(row["time"], row["v_x"]) for row in table(tmp_path / "fig6.csv")] == [("0.1", "5.5"), ("0.3", "15")]
+    assert [(row["time"], row["v_x"]) for row in table(tmp_path / "fig6.csv")] == [("0.17", "9"), ("0.51", "26")]
     assert loaded == [(runs["velocity"], 2, "torque", 0.08)]
 
 
