@@ -239,6 +239,8 @@ def main(argv):
         else:
             args.out.mkdir(parents=True, exist_ok=True)
             save(args.out, what, *FIGURES[what](folders, args))
+    except KeyboardInterrupt:
+        return 130
     except (ValueError, OSError) as error:
         print(f"evaluate.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

@@ -544,3 +544,13 @@ def test_a_sweep_trains_as_the_readme_says(sweep, tmp_path):
     assert sorted(folder.name for folder in (tmp_path / "runs").iterdir()) == names
     assert all((tmp_path / "runs" / name / "policy.npz").exists() for name in names)
     assert sweep("fig2", *TINY) == [lines[1], lines[2], *lines[4:]]
+
+
+def test_ctrl_c_is_no_traceback(runs, monkeypatch):
+    """Evaluating takes minutes: who loses patience gets the shell's exit status, 128 + SIGINT's 2."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(measure, "run_episodes", interrupted)
+    assert evaluate.main([runs["flat"]]) == 130
