@@ -16,7 +16,15 @@ from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
 PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
-COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73")  # told apart by colour-blind readers
+COLOURS = (
+    "#0072b2",
+    "#e69f00",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#000000",
+)  # told apart by colour-blind readers
 
 
 def collect(run, into):
@@ -45,9 +53,9 @@ def smooth(x):
 
 def draw(folders, into):
     """curves.png, one line per run; the dotted lines are pi' of EIPO."""
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
-        for folder, colour in zip(folders, COLOURS, strict=False):
+        for folder, colour in zip(folders, COLOURS[: len(folders)], strict=True):
             c = columns(folder)
             steps = smooth(c["steps"]) / 1e6
             for column, style in ((name, "-"), ("prime_" + name, ":")):
@@ -58,7 +66,7 @@ def draw(folders, into):
         axes.set(title=title, xlabel="million environment steps")
         axes.grid(alpha=0.3)
     figure.axes[2].set_yscale("log")
-    figure.axes[0].legend()
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     figure.savefig(into / "curves.png", dpi=110)
 
 
