@@ -96,6 +96,8 @@ def draw_panels(rows, panels):
     for axes, (task, column, title) in zip(figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True):
         draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
         axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
+        if column == "energy":
+            axes.set_yscale("log")  # a robot that is asked to stand spends much per metre
     return figure
 
 
