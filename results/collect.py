@@ -16,15 +16,8 @@ from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
 PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
-COLOURS = (
-    "#0072b2",
-    "#e69f00",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#000000",
-)  # told apart by colour-blind readers
+# told apart by colour-blind readers
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999")
 
 
 def collect(run, into):
