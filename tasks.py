@@ -69,7 +69,7 @@ class Config:
     clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or each joint's "power" (D3)
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
-    cells_per_m: int = 1  # [lab code] of the Perlin noise (D22)
+    cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
     octaves: int = 1  # [lab code] of the Perlin noise (D22)
     ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
     tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one

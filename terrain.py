@@ -1,7 +1,7 @@
 """Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
 
 The paper says "Perlin noise" and how rough: 0 to 15 cm, 5 cm. Roughness is the height from the deepest to the highest
-point. One octave with a cell per metre is the ground of the lab's EIPO code; older code of theirs has 4 (D22).
+point. One octave with 4 cells per metre is the lab's (D22).
 
 All robots share one height field, a row of square tiles with a roughness each. A tile is periodic: what leaves it on
 one side finds the same ground on the other, so a robot never runs off the world. Around a tile lies an apron of its own
@@ -61,7 +61,7 @@ def octaves_of_perlin(x, y, gradients):
     return sum(perlin(2**k * x, 2**k * y, lattice) / 2**k for k, lattice in enumerate(gradients))
 
 
-def tile(rng, roughness, cells_per_m=1, octaves=1):
+def tile(rng, roughness, cells_per_m=4, octaves=1):
     """Heights (n, n) [m] of one period of ground, n = TILE / SPACING; roughness: [m] from lowest to highest point."""
     gradients = [random_gradients(rng, round(TILE * cells_per_m) * 2**k) for k in range(octaves)]
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
@@ -69,7 +69,7 @@ def tile(rng, roughness, cells_per_m=1, octaves=1):
     return roughness * noise / np.ptp(noise)
 
 
-def make_ground(roughness, seed=0, cells_per_m=1, octaves=1):
+def make_ground(roughness, seed=0, cells_per_m=4, octaves=1):
     """Ground with one tile for each roughness: (tiles,) [m]. Every tile has noise of its own."""
     rng, margin = np.random.default_rng(seed), round(APRON / SPACING)
     tiles = [np.pad(tile(rng, r, cells_per_m, octaves), margin, mode="wrap") for r in roughness]

@@ -120,7 +120,7 @@ def test_lattices_of_a_tile(monkeypatch):
     """4 m, 4 cells per metre: 16 gradients each way, then 32: no octave repeats itself within its tile."""
     made = []
     monkeypatch.setattr(terrain, "random_gradients", lambda rng, n: made.append(n) or rng.normal(size=(n, n, 2)))
-    tile(rng(), 0.15, cells_per_m=4, octaves=2)
+    tile(rng(), 0.15, octaves=2)
     assert made == [16, 32]
 
 

@@ -98,11 +98,11 @@ def ground(c):
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.4))
     image = left.imshow(heights, origin="lower", extent=(0, 4, 0, 4), cmap="cividis")
     figure.colorbar(image, label="height [cm]")
-    left.axhline(2.5, color="white", linestyle=":")
+    left.axhline(2, color="white", linestyle=":")
     left.set(title="a tile, 15 cm rough", xlabel="x [m]", ylabel="y [m]")
     for key, colour, label in (("rough", BLUE, "15 cm"), ("less", ORANGE, "5 cm")):
         right.plot(c["x"], c[key] * 100, color=colour, label=label)
-    right.set(title="along the dotted line", xlabel="x [m]", ylabel="height [cm]", ylim=(-10, 10))
+    right.set(title="along the dotted line", xlabel="x [m]", ylabel="height [cm]", ylim=(-6, 8))
     right.grid(alpha=0.3)
     right.spines[["top", "right"]].set_visible(False)
     right.legend(frameon=False, loc="upper center", ncols=2)
