@@ -1,11 +1,12 @@
-"""Where the time goes: `python tests/bench.py`. Prints ratios, each of two things measured in turn in this one run.
+"""Where the time goes: `python tests/bench.py` prints ratios, each of two things measured in this one run.
 
     tasks         a step of the other tasks, on rough ground, against one of `flat`
-    environment   Go1Env.step against a bare mujoco.batch loop that applies the same torques to the same states
+    environment   what mujoco.batch alone takes of Go1Env.step: the rate relative to a bare loop of physics
     update        ppo_update against a large float32 matrix product, in FLOP of the networks (forward 1, backward 2)
     iteration     shares of physics, policy, host and update; steps/s of PPO and EIPO; memory
 
-Absolute rates on a shared machine mean little. Pin with `taskset -c 0` to measure one core.
+`python tests/bench.py iteration` measures that alone. Absolute rates on a shared machine mean little. Pin with
+`taskset -c 0` to measure one core.
 """
 
 import argparse
@@ -13,7 +14,6 @@ import contextlib
 import resource
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -28,76 +28,76 @@ import go1_env
 import tasks
 
 ROUNDS = 7
+STEPS = 25  # of an environment in one round
 
 
 def seconds(*functions):
     """Best time of each function over ROUNDS, called in turn so that a busy moment hits all of them."""
-    times = np.full((ROUNDS, len(functions)), np.inf)
-    for function in functions:
-        jax.block_until_ready(function())  # warm up, compile
-    for i in range(ROUNDS):
+    times = np.full((ROUNDS + 1, len(functions)), np.inf)
+    for i in range(ROUNDS + 1):
         for j, function in enumerate(functions):
             start = time.perf_counter()
             jax.block_until_ready(function())
             times[i, j] = time.perf_counter() - start
-    return times.min(0)
+    return times[1:].min(0)  # the first one compiles
 
 
-def bench_tasks(num_envs, threads, steps=25):
-    """Cost of a step of each task relative to `flat`, for robots that hold themselves up; prints it."""
-    actions = 0.3 * np.random.default_rng(0).normal(size=(steps, num_envs, 12))
+@contextlib.contextmanager
+def watch(**places):
+    """Yields a dict of the seconds spent in each of some places: name=(owner, function), looked up when called."""
+    spent = dict.fromkeys(places, 0.0)
 
-    def run(env):
+    def timed(name, function, *args):
+        start = time.perf_counter()
+        result = jax.block_until_ready(function(*args))
+        spent[name] += time.perf_counter() - start
+        return result
+
+    with contextlib.ExitStack() as stack:
+        for name, (owner, function) in places.items():
+            wrapped = lambda *args, n=name, f=getattr(owner, function): timed(n, f, *args)  # noqa: E731
+            stack.enter_context(mock.patch.object(owner, function, wrapped))
+        yield spent
+
+
+def walk(env):
+    """A function that resets env and steps it through actions with which robots hold themselves up."""
+    actions = 0.3 * np.random.default_rng(0).normal(size=(STEPS, env.num_envs, 12))
+
+    def run():
         env.reset(0)
         for action in actions:
             env.step(action)
 
-    envs = [go1_env.Go1Env(num_envs, tasks.task_config(task, stagger=False), threads) for task in tasks.TASKS]
-    times = seconds(*(partial(run, env) for env in envs))
+    return run
+
+
+def bench_tasks(args):
+    """Cost of a step of each task relative to `flat`; prints it."""
+    envs = [go1_env.Go1Env(args.num_envs, tasks.task_config(task, stagger=False), args.threads) for task in tasks.TASKS]
+    times = seconds(*map(walk, envs))
     costs = (f"{task} {t / times[0]:.2f}" for task, t in zip(tasks.TASKS, times, strict=True))
     print(f"tasks        cost of a step relative to flat: {', '.join(costs)} (aim 2)")
 
 
-def bench_environment(num_envs, threads, steps=25):
-    """Rate of Go1Env.step on `flat`, where no episode ends so soon, relative to the bare loop; prints both."""
-    config = tasks.task_config("flat", stagger=False)
-    env, bare = go1_env.Go1Env(num_envs, config, threads), go1_env.Go1Env(num_envs, config, threads)
-    env.reset(0)
-    actions = 0.3 * np.random.default_rng(0).normal(size=(steps, num_envs, 12))
-    begin, torques, step = env.state(), [], env.batch.step
-    env.batch.step = lambda: (torques.append(env.ctrl.copy()), step())  # record what the environment applies
-    for action in actions:
-        assert not np.logical_or(*env.step(action)[2:4]).any(), "an episode ended: the loops would differ"
-    del env.batch.step
-    env.load(begin)
-    bare.load(begin)
-
-    def full():
-        env.batch.state[:] = begin["sim"]
-        for action in actions:
-            env.step(action)
-
-    def loop():
-        bare.batch.state[:] = begin["sim"]
-        for torque in torques:
-            bare.ctrl[:] = torque
-            bare.batch.step()
-
-    t_full, t_loop = seconds(full, loop)
-    assert (env.batch.state == bare.batch.state).all(), "the two loops must do the same physics"
-    n = num_envs * steps
-    print(
-        f"environment  {n / t_full:8.0f} steps/s, bare loop {n / t_loop:8.0f}: ratio {t_loop / t_full:.2f} (aim 0.80)"
-    )
+def bench_environment(args):
+    """Rate of Go1Env.step, relative to that of its physics alone; prints both."""
+    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task, stagger=False), args.threads)
+    run = walk(env)
+    run()  # warm up
+    with watch(step=(env, "step"), physics=(env.batch, "step")) as spent:
+        for _ in range(ROUNDS):
+            run()
+    rate, ratio = ROUNDS * STEPS * args.num_envs / spent["step"], spent["physics"] / spent["step"]
+    print(f"environment  {rate:8.0f} steps/s, physics alone {rate / ratio:8.0f}: ratio {ratio:.2f} (aim 0.80)")
 
 
-def bench_update(task, num_envs, threads):
+def bench_update(args):
     """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
-    cfg = eipo.Config(algo="ppo", num_envs=num_envs)
-    env = go1_env.Go1Env(num_envs, tasks.task_config(task), threads)
-    sizes = env.obs_size, env.privileged_size, env.action_size
+    cfg = eipo.Config(algo="ppo", num_envs=args.num_envs)
+    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task), args.threads)
     key = jax.random.key(0)
-    learner = [eipo.init_learner(key, sizes, 2, cfg)]
+    learner = [eipo.init_learner(key, (env.obs_size, env.privileged_size, env.action_size), 2, cfg)]
     tau, _, _ = eipo.rollout(env, learner[0].params, eipo.start(env, 0), key, cfg)
     estimated = eipo.estimate(learner[0].params, tau, cfg)
     advantage = eipo.mix(estimated.advantage, 1 / cfg.lam, cfg.lam)
@@ -109,59 +109,43 @@ def bench_update(task, num_envs, threads):
     a = jnp.ones((1024, 1024))
     product = jax.jit(lambda a: a @ a)
     forward = sum(2 * w.size for w in jax.tree.leaves(learner[0].params) if w.ndim == 2)  # FLOP of one sample
-    work = 3 * forward * cfg.num_epochs * cfg.num_steps * num_envs
+    work = 3 * forward * cfg.num_epochs * cfg.num_steps * args.num_envs
     t_update, t_product = seconds(update, lambda: product(a))
-    rate, peak = work / t_update, 2 * 1024**3 / t_product
-    print(
-        f"update       {rate / 1e9:8.0f} GFLOP/s, matrix product {peak / 1e9:4.0f}: ratio {rate / peak:.2f} (aim 0.70)"
-    )
+    rate, peak = work / t_update / 1e9, 2 * 1024**3 / t_product / 1e9
+    print(f"update       {rate:8.0f} GFLOP/s, matrix product {peak:4.0f}: ratio {rate / peak:.2f} (aim 0.70)")
 
 
-def bench_iteration(algo, task, num_envs, threads, iterations=6):
-    """Shares of an iteration and steps/s; prints them."""
-    spent = {}
+def bench_iteration(args, warm_up=3, iterations=6):
+    """Shares of an iteration and steps/s of PPO and of EIPO, and the memory of both; prints them."""
+    for algo, policies in (("ppo", 1), ("eipo", 2)):
+        env_config = tasks.task_config(args.task)
+        envs = [go1_env.Go1Env(args.num_envs // policies, env_config, args.threads) for _ in range(policies)]
+        cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
+        places = {f"physics{i}": (env.batch, "step") for i, env in enumerate(envs)}
+        with watch(policy=(eipo, "act"), rollout=(eipo, "rollout"), **places) as spent:
+            for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
+                jax.block_until_ready(state.pi)
+                if state.iteration == warm_up:  # compiled by now
+                    start = time.perf_counter()
+                    spent.update(dict.fromkeys(spent, 0.0))
+        total = time.perf_counter() - start
+        shares = dict(physics=sum(spent[name] for name in places), policy=spent["policy"])
+        shares |= dict(host=spent["rollout"] - sum(shares.values()), update=total - spent["rollout"])
+        shares = ", ".join(f"{name} {t / total:.0%}" for name, t in shares.items())
+        print(f"{algo:12} {iterations * cfg.num_steps * cfg.num_envs / total:8.0f} steps/s: {shares}")
+    print(f"memory       {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most (aim 2)")
 
-    def timed(owner, function, name):
-        inner = getattr(owner, function)
 
-        def wrapped(*args):
-            start = time.perf_counter()
-            result = jax.block_until_ready(inner(*args))
-            spent[name] = spent.get(name, 0.0) + time.perf_counter() - start
-            return result
-
-        return mock.patch.object(owner, function, wrapped)
-
-    policies = 2 if algo == "eipo" else 1
-    env_config = tasks.task_config(task)
-    envs = [go1_env.Go1Env(num_envs // policies, env_config, threads) for _ in range(policies)]
-    cfg = eipo.Config(algo=algo, num_envs=num_envs, iterations=3 + iterations)
-    with contextlib.ExitStack() as stack:
-        for env in envs:
-            stack.enter_context(timed(env.batch, "step", "physics"))
-        stack.enter_context(timed(eipo, "act", "policy"))
-        stack.enter_context(timed(eipo, "rollout", "rollout"))
-        for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
-            jax.block_until_ready(state.pi)
-            if state.iteration == 3:  # compiled by now
-                start = time.perf_counter()
-                spent.clear()
-    total = time.perf_counter() - start
-    rollout = spent.pop("rollout")
-    shares = spent | dict(host=rollout - sum(spent.values()), update=total - rollout)
-    rate = iterations * cfg.num_steps * num_envs / total
-    print(f"{algo:12} {rate:8.0f} steps/s:", ", ".join(f"{name} {100 * t / total:.0f} %" for name, t in shares.items()))
-
+PARTS = dict(tasks=bench_tasks, environment=bench_environment, update=bench_update, iteration=bench_iteration)
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", help=f"any of {', '.join(PARTS)}; by default all")
     parser.add_argument("--task", choices=tasks.TASKS, default="flat")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0, help="of the physics; 0 takes every core")
     args = parser.parse_args()
-    bench_tasks(args.num_envs, args.threads)
-    bench_environment(args.num_envs, args.threads)
-    bench_update(args.task, args.num_envs, args.threads)
-    for algo in ("ppo", "eipo"):
-        bench_iteration(algo, args.task, args.num_envs, args.threads)
-    print(f"memory       {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most (aim 2)")
+    if unknown := set(args.parts) - set(PARTS):
+        parser.error(f"unknown part {', '.join(sorted(unknown))}: choose from {', '.join(PARTS)}")
+    for part in args.parts or PARTS:
+        PARTS[part](args)
