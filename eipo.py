@@ -119,7 +119,7 @@ def init_mlp(key, sizes):
 
 
 def mlp(layers, x):
-    """x: (..., n_in) -> (..., n_out), ELU between the layers."""
+    """x: (..., n_in) -> (..., n_out), ELU between the layers. The tests forbid implicit broadcasting of ranks."""
     *hidden, (w_out, b_out) = layers
     for w, b in hidden:
         x = jax.nn.elu(x @ w + jnp.broadcast_to(b, (*x.shape[:-1], *b.shape)))

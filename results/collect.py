@@ -1,8 +1,8 @@
 """Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
 For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png,
-from what was collected: task reward, speed, power and alpha over environment steps, each a running mean of 100
-iterations.
+from what was collected: task reward, speed, power and alpha over environment steps (for `alpha`, which compares its
+readings, also the gap and the effective lambda, 1 / alpha), each a running mean of 100 iterations.
 """
 
 import csv
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
 PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
+ALPHA_PANELS = PANELS | dict(gap="gap J(pi) - J(pi')", lam="effective lambda, 1 / alpha")
 # told apart by colour-blind readers
 COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999")
 
@@ -36,7 +37,9 @@ def columns(folder):
     """The columns of a metrics.csv as arrays."""
     with open(folder / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    c = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    with np.errstate(divide="ignore"):
+        return c | dict(lam=1 / c["alpha"])
 
 
 def smooth(x):
@@ -46,13 +49,14 @@ def smooth(x):
 
 def draw(folders, into):
     """curves.png, one line per run; the dotted lines are pi' of EIPO."""
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
-    for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
+    panels = ALPHA_PANELS if into.name == "alpha" else PANELS
+    figure = Figure(figsize=(12, 3.25 * len(panels) / 2), layout="constrained")
+    for axes, (name, title) in zip(figure.subplots(len(panels) // 2, 2).flat, panels.items(), strict=True):
         for folder, colour in zip(folders, COLOURS[: len(folders)], strict=True):
             c = columns(folder)
             steps = smooth(c["steps"]) / 1e6
             for column, style in ((name, "-"), ("prime_" + name, ":")):
-                if column in c and np.isfinite(c[column]).any() and not (name == "alpha" and "gap" not in c):
+                if column in c and np.isfinite(c[column]).any() and not (name in ("alpha", "lam") and "gap" not in c):
                     label = folder.name.removeprefix(f"{into.name}-").removesuffix("-seed0")
                     label += " (pi')" if style == ":" else ""
                     axes.plot(steps, smooth(c[column]), style, color=colour, label=label)

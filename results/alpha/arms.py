@@ -6,6 +6,7 @@ b    lambda_0 stays, its weight starts at 1, and momentum is dampened. In our un
 c    a, but the advantages of each stream are normalised before they are mixed, as the lab's code does it
 d    the control of c: normalised streams, fixed weights 1.5 : 1, no pi' and so no alpha. What the lab's code may
      have amounted to (lab code: its alpha is the sum of normalised advantages, which is zero)
+e    a, from a lambda_0 ten times as large as the task's: too large for PPO to move (`ppo10`, beside it)
 ppo  PPO(lambda_0), and ppo0 PPO(0), beside them
 """
 
@@ -17,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 import eipo
 import train
 
-ARMS = ("a", "b", "c", "d", "ppo", "ppo0")
+ARMS = ("a", "b", "c", "d", "e", "ppo", "ppo0", "ppo10")
 
 
 def normalised(stream):
@@ -44,8 +45,10 @@ def main(arm, argv):
     lam = train.settle(given_env, given_learner)[1].lam
     if arm == "b":
         argv = ["--lr-alpha", f"{0.01 / lam:g}", "--dampening-alpha", "0.99", *argv]
-    if arm in ("d", "ppo", "ppo0"):
-        argv = ["--algo", "ppo", *(["--lam", "0"] if arm == "ppo0" else []), *argv]
+    if arm in ("e", "ppo10", "ppo0"):
+        argv = ["--lam", f"{dict(ppo0=0).get(arm, 10) * lam:g}", *argv]
+    if arm in ("d", "ppo", "ppo0", "ppo10"):
+        argv = ["--algo", "ppo", *argv]
     eipo.mix = dict(c=mix_normalised, d=mix_fixed).get(arm, eipo.mix)
     return train.main(argv)
 
