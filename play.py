@@ -6,7 +6,6 @@ backspace sets it to 0. With --follow the robot gets every new policy that a run
 
 import argparse
 import ctypes.util
-import itertools
 import os
 import sys
 import threading
@@ -22,7 +21,6 @@ import jax
 import mujoco
 import mujoco.viewer
 import numpy as np
-from PIL import Image, ImageDraw
 
 import eipo
 import run_folder
@@ -30,7 +28,6 @@ import scene
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
-SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
 
 
 def play(env, folder, command, follow=False):
@@ -49,30 +46,6 @@ def play(env, folder, command, follow=False):
         yield info["log"]
 
 
-def caption(log, command):
-    """What the robot is asked to do and does, in one line."""
-    asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True) if x)
-    return f"{'asked ' + asked + '   ' if asked else ''}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
-
-
-def save_gif(path, env, steps, seconds, command):
-    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
-    model, data = scene.make_scene(env)
-    images, camera = [], mujoco.MjvCamera()
-    next(itertools.islice(steps, round(1 / env.period) - 1, None))
-    scene.point(camera, env, model)
-    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):
-            scene.show(env, model, data)
-            renderer.update_scene(data, camera)
-            image = Image.fromarray(renderer.render())
-            ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
-            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames: smaller
-            images.append(image.quantize(dither=Image.Dither.NONE, **palette))
-    duration = round(1000 * env.period * STEPS_PER_FRAME)
-    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
-
-
 def watch(env, steps, command):
     """The viewer, in real time, until its window is closed."""
 
@@ -89,7 +62,7 @@ def watch(env, steps, command):
             log = next(steps)
             with viewer.lock():
                 scene.show(env, model, data)
-            viewer.set_texts((None, None, caption(log, command), None))
+            viewer.set_texts((None, None, scene.caption(log, command), None))
             viewer.sync()
             time.sleep(max(0.0, env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
@@ -120,7 +93,7 @@ def main(argv):
         if args.gif and os.environ.get("MUJOCO_GL") == "off":
             raise ValueError("nothing to draw with: install libegl1 or libosmesa6")
         if args.gif:
-            save_gif(writable(args.gif), env, steps, args.seconds, command)
+            scene.save_gif(writable(args.gif), env, steps, args.seconds, command)
         else:
             watch(env, steps, command)
     except KeyboardInterrupt:

@@ -31,8 +31,8 @@ LAYERS = {
     "sweep": set(),
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
-    "scene": {"numpy", "mujoco"},
-    "play": {"numpy", "jax", "mujoco", "PIL"},
+    "scene": {"numpy", "mujoco", "PIL"},
+    "play": {"numpy", "jax", "mujoco"},
 }
 
 
