@@ -626,6 +626,7 @@ def test_leg_heights_are_those_of_the_model():
         (dict(friction=(1.25, 0.5)), ["friction", "1.25", "0.5"]),
         (dict(friction=(0.5, float("inf"))), ["friction", "0.5", "inf"]),
         (dict(friction=(-0.5, 0.5)), ["friction"]),
+        (dict(friction=(0.5, 2.0)), ["friction", "2.0"]),
         (dict(payload=(float("nan"), 1.0)), ["payload", "nan", "1.0"]),
         (dict(payload=(-6.0, 0.0)), ["trunk"]),  # no mass would be left
         (dict(roughness=(-0.05, 0.05)), ["roughness", "-0.05"]),
@@ -926,6 +927,19 @@ def test_standing_on_a_height_field():
     for a, b in zip(plane.qpos, field.qpos, strict=True):
         assert -0.0015 < soles(a).min() < soles(a).max() < 0 and soles(a) == pytest.approx(soles(b), abs=1e-3)
     assert (plane.qpos[:, 2] > 0.2).all() and plane.qpos[:, 2] == pytest.approx(field.qpos[:, 2], abs=0.01)
+
+
+@pytest.mark.parametrize("task", tasks.TASKS)
+def test_no_foot_sinks_in(task):
+    """With the most friction and the most payload of a task, the soles of a robot that stands are 5 mm deep at most.
+
+    At a friction of 3, as in the lab's code, they would be 3 cm deep and the shins on the ground: every robot falls.
+    """
+    settings = tasks.task_config(task)
+    env = make(1, task=task, roughness=(0.0, 0.0), friction=settings.friction[1:] * 2, payload=settings.payload[1:] * 2)
+    place(env, height=0.31)
+    assert not any(still(env)[2] for _ in range(100))
+    assert -0.005 < soles(env.qpos[0]).min() < 0
 
 
 @pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
