@@ -1,6 +1,6 @@
-"""What the world is like: every setting of the environment, and what the paper sets for each task of Section IV-A.
+"""What the world is like: every setting of the environment, and what is set for each task of Section IV-A.
 
-`task_config` makes the Config with the paper's values:
+`task_config` makes the Config with these values:
 
 |                   | flat              | rough      | velocity     | curriculum                  | source            |
 |-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
@@ -8,6 +8,7 @@
 | command v_x       | 0 to 1 m/s        | as flat    | 0            | `curriculum.py`             | [IV-A], [IV-C.a]  |
 | history H         | 5                 | 10         | 10           | 5 (D24)                     | [V-A, B, D]       |
 | roughness         | 0                 | 0 to 15 cm | 5 cm         | 0 to 5 cm                   | [IV-A]            |
+| noise cells per m | -                 | 1 (D22)    | 4            | 4                           | [lab code]        |
 | a fall: ground at | trunk, hip, thigh | as flat    | all but feet | all but feet, or 800 W (D17) | D13, [IV-A.3, 4] |
 | motors            | PD                | PD         | PD, V-D      | model (D11), 30 ms late     | [IV-A.4], [V-D]   |
 | noise             | `go1_env.py`      | as flat    | as flat      | as flat                     | [lab code]        |
@@ -35,7 +36,7 @@ class Task(NamedTuple):
     """What makes a task of Section IV-A that task: see the table at the top of this file."""
 
     reward: Callable
-    settings: dict  # fields of Config that the paper sets
+    settings: dict  # fields of Config that differ from their defaults
     command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
     only_feet: bool = False  # may touch the ground; if not, the calves may as well
     torque_speed: bool = False  # limit of Section V-D
@@ -47,7 +48,7 @@ RANDOMISED = dict(friction=(0.1, 1.25), payload=(-1.0, 3.0), com=(-0.05, 0.05), 
                   motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
 TASKS = {
     "flat": Task(rewards.flat, dict(history=5), command_high=FORWARD),
-    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15)), command_high=FORWARD),
+    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15), cells_per_m=1), command_high=FORWARD),
     "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)), only_feet=True, torque_speed=True),
     "curriculum": Task(rewards.curriculum, dict(history=5, roughness=(0.0, 0.05), motor_model=True, latency=6,
                        max_power=800.0, **RANDOMISED), only_feet=True, curriculum=True),
@@ -88,7 +89,7 @@ class Config:
 
 
 def task_config(task="flat", **changes):
-    """The Config that the paper sets for a task, with changes. Raises ValueError for an unknown task."""
+    """The Config of a task, with changes. Raises ValueError for an unknown task."""
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
     return Config(**dict(task=task) | TASKS[task].settings | changes)

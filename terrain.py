@@ -1,7 +1,7 @@
 """Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
 
 The paper says "Perlin noise" and how rough: 0 to 15 cm, 5 cm. Roughness is the height from the deepest to the highest
-point. One octave with 4 cells per metre is the lab's (D22).
+point. One octave is the lab's, and 4 cells per metre, in the file of its EIPO code 1: see D22.
 
 All robots share one height field, a row of square tiles with a roughness each. A tile is periodic: what leaves it on
 one side finds the same ground on the other, so a robot never runs off the world. Around a tile lies an apron of its own

@@ -16,6 +16,7 @@ import energy
 import go1
 import go1_env
 import tasks
+import terrain
 from go1_env import Go1Env
 from tasks import Config
 
@@ -672,14 +673,26 @@ def test_good_config(fields):
 
 
 @pytest.mark.parametrize(
-    ("task", "history", "roughness"),
-    [("flat", 5, (0.0, 0.0)), ("rough", 10, (0.0, 0.15)), ("velocity", 10, (0.05, 0.05))],
+    ("task", "history", "roughness", "cells_per_m"),
+    [("flat", 5, (0.0, 0.0), 4), ("rough", 10, (0.0, 0.15), 1), ("velocity", 10, (0.05, 0.05), 4)],
 )
-def test_paper_settings_of_a_task(task, history, roughness):
-    """V-A, V-B, V-D: H; IV-A: roughness in m. All else is as on flat ground, and a change wins over the paper."""
-    assert tasks.task_config(task) == Config(task=task, history=history, roughness=roughness)
-    changed = tasks.task_config(task, history=3, roughness=(0.0, 0.01), noise=0.5)
-    assert changed == Config(task=task, history=3, roughness=(0.0, 0.01), noise=0.5)
+def test_paper_settings_of_a_task(task, history, roughness, cells_per_m):
+    """V-A, V-B, V-D: H; IV-A: roughness in m; D22. All else is as on flat ground, and a change wins over the paper."""
+    assert tasks.task_config(task) == Config(task=task, history=history, roughness=roughness, cells_per_m=cells_per_m)
+    changed = dict(task=task, history=3, roughness=(0.0, 0.01), cells_per_m=2, noise=0.5)
+    assert tasks.task_config(**changed) == Config(**changed)
+
+
+def test_no_ground_is_too_steep_to_stand_on():
+    """Feet of friction 0.5 hold up to arctan 0.5 = 26.6 degrees: not a point of the roughest tile is steeper.
+
+    15 cm with 4 cells per metre, as in other code of the lab, would have a fifth of its points steeper (D22).
+    """
+    for task in ("rough", "velocity", "curriculum"):
+        slopes = np.gradient(make(1, task=task, tiles=1).ground.heights, terrain.SPACING)
+        assert np.hypot(*slopes).max() < 0.5
+    slopes = np.gradient(make(1, task="rough", tiles=1, cells_per_m=4).ground.heights, terrain.SPACING)
+    assert (np.hypot(*slopes) > 0.5).mean() == pytest.approx(0.2, abs=0.05)
 
 
 def test_unknown_task():
