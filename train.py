@@ -20,8 +20,8 @@ import go1_env
 import run_folder
 import tasks
 
-# What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]. And how
-# many environments the hard ones take [ours]: 64 robots for each of EIPO's policies are too few, see results/rough
+# What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]. And
+# the environments that the hard ones take [ours]: 64 robots for each of EIPO's policies are too few, see results/rough
 TASKS = {
     "flat": dict(lam=0.005, iterations=4000),
     "rough": dict(lam=0.0002, iterations=4000, num_envs=256),
