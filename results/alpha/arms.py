@@ -46,7 +46,7 @@ def main(arm, argv):
     if arm == "b":
         argv = ["--lr-alpha", f"{0.01 / lam:g}", "--dampening-alpha", "0.99", *argv]
     if arm in ("e", "ppo10", "ppo0"):
-        argv = ["--lam", f"{dict(ppo0=0).get(arm, 10) * lam:g}", *argv]
+        argv = [*argv, "--lam", f"{dict(ppo0=0).get(arm, 10) * lam:g}"]
     if arm in ("d", "ppo", "ppo0", "ppo10"):
         argv = ["--algo", "ppo", *argv]
     eipo.mix = dict(c=mix_normalised, d=mix_fixed).get(arm, eipo.mix)
