@@ -1,6 +1,6 @@
 """What a run leaves on disk, written by `train.py` and read by everything that looks at a run.
 
-    config.json      every setting, the versions, the commit and the command
+    config.json      every setting; command, commit, machine and versions of the start and of every resumption
     metrics.csv      a row per iteration; columns that hold clock time have "time" or "per_s" in their name
     checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha, simulations, random generators
     policy.npz       what it takes to run the policy
@@ -60,15 +60,17 @@ def replace_file(path, write):
     os.replace(temporary, path)
 
 
-def save_config(folder, env_config, config, argv):
-    """config.json: both Configs, and where, with what and how the run was started, or last resumed."""
+def save_config(folder, env_config, config, argv, resume=False):
+    """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
+    old = json.loads((folder / "config.json").read_text()) if resume else dict(starts=[])
+    starts = old.get("starts", [{name: x for name, x in old.items() if name not in ("env", "learner")}])  # of old runs
     about = dict(
         command=shlex.join(["python", "train.py", *argv]),
         commit=commit(),
         machine=f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}",
         versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
     )
-    record = dict(env=asdict(env_config), learner=asdict(config)) | about
+    record = dict(env=asdict(env_config), learner=asdict(config), starts=[*starts, about])
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 

@@ -129,7 +129,7 @@ def run_path(options, env_config, config):
     return Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}{variant}-seed{config.seed}")
 
 
-def prepare(options, given_env, given_learner, argv):
+def prepare(options, given_env, given_learner):
     """Make the run folder, or check that what it holds fits; returns folder, tasks.Config, eipo.Config."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
@@ -144,8 +144,6 @@ def prepare(options, given_env, given_learner, argv):
     check(config)
     tasks.check(config.num_envs, env_config, options.threads)
     folder.mkdir(parents=True, exist_ok=True)
-    if not options.resume or config.iterations > run_folder.load_config(folder)[1].iterations:
-        run_folder.save_config(folder, env_config, config, argv)
     return folder, env_config, config
 
 
@@ -158,7 +156,7 @@ def save(folder, state, envs):
         run_folder.draw_commands(folder, envs[0].weights)
 
 
-def train(folder, env_config, config, options, asked):
+def train(folder, env_config, config, options, argv, asked):
     """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
     policies = 2 if config.algo == "eipo" else 1
     envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
@@ -169,6 +167,7 @@ def train(folder, env_config, config, options, asked):
     if options.resume:
         first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)
     log = run_folder.Log(folder, first.iteration, config.iterations)
+    run_folder.save_config(folder, env_config, config, argv, options.resume)
     print(f"{folder}: {config.algo} on {env_config.task}, {config.num_envs} environments. Compiling (once, ~15 s) ...")
     for state, metrics in eipo.eipo(env, env_prime, config, resume=first):
         if metrics:
@@ -202,9 +201,9 @@ def main(argv):
     given_options, given_env, given_learner = parse(argv)
     options = Options(**given_options)
     try:
-        folder, env_config, config = prepare(options, given_env, given_learner, argv)
+        folder, env_config, config = prepare(options, given_env, given_learner)
         with stop_at_boundary() as asked:
-            done = train(folder, env_config, config, options, asked)
+            done = train(folder, env_config, config, options, argv, asked)
     except KeyboardInterrupt:
         print("\nStopped at once; --resume goes on from the last checkpoint", file=sys.stderr)
         return 130

@@ -507,7 +507,7 @@ def test_a_run_killed_before_its_first_checkpoint_can_be_started(sweep):
     fake_run(sweep("fig2")[0], 30, checkpoint=False)
     argv = shlex.split(sweep("fig2")[0])[2:]
     options, env_config, config = train.parse(argv)
-    train.prepare(train.Options(**options), env_config, config, argv)
+    train.prepare(train.Options(**options), env_config, config)
 
 
 def test_flags_pass_through(sweep):

@@ -70,7 +70,8 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     assert [row[0] for row in rows(tmp_path / "mine")] == ["iteration", "1", "2"]
     record = json.loads((tmp_path / "mine" / "config.json").read_text())
     assert (record["learner"]["iterations"], record["learner"]["lam"], record["env"]["history"]) == (2, 0.005, 2)
-    assert "--iterations 2" in record["command"] and record["versions"]["mujoco"]
+    (start,) = record["starts"]
+    assert "--iterations 2" in start["command"] and start["versions"]["mujoco"]
 
 
 def test_equal_seeds_equal_runs(finished, tmp_path):
@@ -117,6 +118,19 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     assert train.main(["--out", str(tmp_path / "short"), "--resume", "--iterations", "6"]) == 0
     assert rows(tmp_path / "short") == rows(tmp_path / "long")
     assert run_folder.load_config(tmp_path / "short") == run_folder.load_config(tmp_path / "long")
+    starts = json.loads((tmp_path / "short" / "config.json").read_text())["starts"]
+    assert ["--resume" in start["command"] for start in starts] == [False, True]
+
+
+def test_resuming_a_run_of_an_older_version_keeps_how_it_was_started(tmp_path):
+    """Its config.json has command, commit, machine and versions of one start beside env and learner."""
+    assert run("--iterations", 1, "--out", tmp_path) == 0
+    record = json.loads((tmp_path / "config.json").read_text())
+    (start,) = record.pop("starts")
+    (tmp_path / "config.json").write_text(json.dumps(record | start))
+    assert train.main(["--out", str(tmp_path), "--resume", "--iterations", "2"]) == 0
+    first, second = json.loads((tmp_path / "config.json").read_text())["starts"]
+    assert first == start and "--resume" in second["command"]
 
 
 @pytest.mark.parametrize(
