@@ -95,7 +95,7 @@ def task_config(task="flat", **changes):
     return Config(**dict(task=task) | TASKS[task].settings | changes)
 
 
-MOST_FRICTION = 1.5  # MuJoCo's pyramidal contacts give way the more friction they have: feet sink 3 mm at 1.25, 17 at 2
+MOST_FRICTION = 1.5  # MuJoCo's pyramidal contacts give way the more friction they have: test_no_foot_sinks_in
 MAY_BE_ZERO = ("threads", "noise", "clock_hz", "latency", "max_power", "ground_seed")
 
 

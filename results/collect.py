@@ -5,7 +5,6 @@ from what was collected: task reward, speed, power and alpha over environment st
 readings, also the gap and the effective lambda, 1 / alpha), each a running mean of 100 iterations.
 """
 
-import csv
 import re
 import shutil
 import sys
@@ -35,9 +34,8 @@ def collect(run, into):
 
 def columns(folder):
     """The columns of a metrics.csv as arrays."""
-    with open(folder / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
-    c = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    rows = np.genfromtxt(folder / "metrics.csv", delimiter=",", names=True)
+    c = {name: rows[name] for name in rows.dtype.names}
     with np.errstate(divide="ignore"):
         return c | dict(lam=1 / c["alpha"])
 

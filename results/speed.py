@@ -1,7 +1,7 @@
 """What a run costs: `python results/speed.py` measures, and writes speed.csv and speed.png beside this file.
 
-Runs `tests/bench.py iteration` with 64 to 4096 environments on one core and on two, each in a process of its own, so
-that memory is that of one run. Leave the machine alone meanwhile.
+Runs `tests/bench.py --only iteration` with 64 to 4096 environments on one core and on two, each in a process of its
+own, so that memory is that of one run. Leave the machine alone meanwhile.
 
     python results/speed.py reach RUN...   a Markdown row for each run folder: million steps, and minutes of training,
                                            until its batch mean first passed the aims of its task
@@ -27,7 +27,7 @@ WINDOW = 20  # iterations, of the running mean
 def measure(num_envs, cores):
     """Steps/s of PPO and of EIPO, and memory [GB] of a process that ran both, on so many cores."""
     allowed = sorted(os.sched_getaffinity(0))[:cores]
-    command = [sys.executable, BENCH, "iteration", "--num-envs", str(num_envs)]
+    command = [sys.executable, BENCH, "--only", "iteration", "--num-envs", str(num_envs)]
     done = subprocess.run(command, capture_output=True, text=True, check=True,
                           preexec_fn=lambda: os.sched_setaffinity(0, allowed))  # fmt: skip
     ppo, eipo = (float(x) for x in re.findall(r"(\d+) steps/s", done.stdout))
@@ -58,16 +58,15 @@ def draw(rows, path):
 
 def reach(run):
     """The Markdown row of a run."""
-    with open(run / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
+    rows = np.genfromtxt(run / "metrics.csv", delimiter=",", names=True)
     name, aims = AIMS[run.name.split("-")[0]]
-    seconds = np.diff([float(row["time_s"]) for row in rows], prepend=0.0)
+    seconds = np.diff(rows["time_s"], prepend=0.0)
     seconds = np.where(seconds < 0, np.median(seconds), seconds).cumsum()  # a resumed run counts from 0 again
-    mean = np.convolve([float(row[name]) for row in rows], np.full(WINDOW, 1 / WINDOW), "valid")
+    mean = np.convolve(rows[name], np.full(WINDOW, 1 / WINDOW), "valid")
     cells = []
     for aim in aims:
         at = WINDOW - 1 + np.argmax(mean > aim)
-        when = f"{float(rows[at]['steps']) / 1e6:.2f} M, {seconds[at] / 60:.1f} min"
+        when = f"{rows['steps'][at] / 1e6:.2f} M, {seconds[at] / 60:.1f} min"
         cells.append(when if (mean > aim).any() else "-")
     return f"| `{run.name}` | {name} | {' | '.join(f'{aim}: {x}' for aim, x in zip(aims, cells, strict=True))} |"
 

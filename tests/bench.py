@@ -1,12 +1,10 @@
 """Where the time goes: `python tests/bench.py` prints ratios, each of two things measured in this one run.
 
-    tasks         a step of the other tasks, on rough ground, against one of `flat`
-    environment   what mujoco.batch alone takes of Go1Env.step: the rate relative to a bare loop of physics
+    environment   Go1Env.step of every task against that of `flat`, and what mujoco.batch alone takes of it
     update        ppo_update against a large float32 matrix product, in FLOP of the networks (forward 1, backward 2)
     iteration     shares of physics, policy, host and update; steps/s of PPO and EIPO; memory
 
-`python tests/bench.py iteration` measures that alone. Absolute rates on a shared machine mean little. Pin with
-`taskset -c 0` to measure one core.
+Absolute rates on a shared machine mean little. `taskset -c 0` measures one core, of physics and of JAX.
 """
 
 import argparse
@@ -27,19 +25,7 @@ import eipo
 import go1_env
 import tasks
 
-ROUNDS = 7
-STEPS = 25  # of an environment in one round
-
-
-def seconds(*functions):
-    """Best time of each function over ROUNDS, called in turn so that a busy moment hits all of them."""
-    times = np.full((ROUNDS + 1, len(functions)), np.inf)
-    for i in range(ROUNDS + 1):
-        for j, function in enumerate(functions):
-            start = time.perf_counter()
-            jax.block_until_ready(function())
-            times[i, j] = time.perf_counter() - start
-    return times[1:].min(0)  # the first one compiles
+ROUNDS, STEPS = 7, 25  # how often something is measured; steps of an environment each time
 
 
 @contextlib.contextmanager
@@ -60,42 +46,26 @@ def watch(**places):
         yield spent
 
 
-def walk(env):
-    """A function that resets env and steps it through actions with which robots hold themselves up."""
-    actions = 0.3 * np.random.default_rng(0).normal(size=(STEPS, env.num_envs, 12))
-
-    def run():
-        env.reset(0)
-        for action in actions:
-            env.step(action)
-
-    return run
-
-
-def bench_tasks(args):
-    """Cost of a step of each task relative to `flat`; prints it."""
-    envs = [go1_env.Go1Env(args.num_envs, tasks.task_config(task, stagger=False), args.threads) for task in tasks.TASKS]
-    times = seconds(*map(walk, envs))
-    costs = (f"{task} {t / times[0]:.2f}" for task, t in zip(tasks.TASKS, times, strict=True))
-    print(f"tasks        cost of a step relative to flat: {', '.join(costs)} (aim 2)")
-
-
 def bench_environment(args):
-    """Rate of Go1Env.step, relative to that of its physics alone; prints both."""
-    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task, stagger=False), args.threads)
-    run = walk(env)
-    run()  # warm up
-    with watch(step=(env, "step"), physics=(env.batch, "step")) as spent:
-        for _ in range(ROUNDS):
-            run()
-    rate, ratio = ROUNDS * STEPS * args.num_envs / spent["step"], spent["physics"] / spent["step"]
-    print(f"environment  {rate:8.0f} steps/s, physics alone {rate / ratio:8.0f}: ratio {ratio:.2f} (aim 0.80)")
+    """For each task the cost of a step relative to `flat`, and the rate relative to its physics alone; prints both."""
+    actions = 0.3 * np.random.default_rng(0).normal(size=(STEPS, args.num_envs, 12))  # robots hold themselves up
+    envs = [go1_env.Go1Env(args.num_envs, tasks.task_config(task, stagger=False)) for task in tasks.TASKS]
+    times = np.empty((ROUNDS, len(envs), 2))
+    for i, j in np.ndindex(ROUNDS, len(envs)):  # in turn, so that a busy moment hits all of them
+        envs[j].reset(0)
+        with watch(step=(envs[j], "step"), physics=(envs[j].batch, "step")) as spent:
+            for action in actions:
+                envs[j].step(action)
+        times[i, j] = spent["step"], spent["physics"]
+    step, physics = times.min(0).T
+    for task, cost, ratio in zip(tasks.TASKS, step / step[0], physics / step, strict=True):
+        print(f"{task:12} a step costs {cost:.2f} of a flat one (aim 2), physics is {ratio:.2f} of it (aim 0.80)")
 
 
 def bench_update(args):
     """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
     cfg = eipo.Config(algo="ppo", num_envs=args.num_envs)
-    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task), args.threads)
+    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task))
     key = jax.random.key(0)
     learner = [eipo.init_learner(key, (env.obs_size, env.privileged_size, env.action_size), 2, cfg)]
     tau, _, _ = eipo.rollout(env, learner[0].params, eipo.start(env, 0), key, cfg)
@@ -106,11 +76,15 @@ def bench_update(args):
         learner[0], log = eipo.ppo_update(learner[0], tau, estimated, advantage, key, cfg)
         return log
 
-    a = jnp.ones((1024, 1024))
-    product = jax.jit(lambda a: a @ a)
+    a, product = jnp.ones((1024, 1024)), jax.jit(lambda a: a @ a)
     forward = sum(2 * w.size for w in jax.tree.leaves(learner[0].params) if w.ndim == 2)  # FLOP of one sample
     work = 3 * forward * cfg.num_epochs * cfg.num_steps * args.num_envs
-    t_update, t_product = seconds(update, lambda: product(a))
+    times = np.empty((ROUNDS + 1, 2))
+    for i, j in np.ndindex(times.shape):  # in turn; the first round compiles
+        start = time.perf_counter()
+        jax.block_until_ready((update, lambda: product(a))[j]())
+        times[i, j] = time.perf_counter() - start
+    t_update, t_product = times[1:].min(0)
     rate, peak = work / t_update / 1e9, 2 * 1024**3 / t_product / 1e9
     print(f"update       {rate:8.0f} GFLOP/s, matrix product {peak:4.0f}: ratio {rate / peak:.2f} (aim 0.70)")
 
@@ -118,8 +92,7 @@ def bench_update(args):
 def bench_iteration(args, warm_up=3, iterations=6):
     """Shares of an iteration and steps/s of PPO and of EIPO, and the memory of both; prints them."""
     for algo, policies in (("ppo", 1), ("eipo", 2)):
-        env_config = tasks.task_config(args.task)
-        envs = [go1_env.Go1Env(args.num_envs // policies, env_config, args.threads) for _ in range(policies)]
+        envs = [go1_env.Go1Env(args.num_envs // policies, tasks.task_config(args.task)) for _ in range(policies)]
         cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
         places = {f"physics{i}": (env.batch, "step") for i, env in enumerate(envs)}
         with watch(policy=(eipo, "act"), rollout=(eipo, "rollout"), **places) as spent:
@@ -136,16 +109,13 @@ def bench_iteration(args, warm_up=3, iterations=6):
     print(f"memory       {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most (aim 2)")
 
 
-PARTS = dict(tasks=bench_tasks, environment=bench_environment, update=bench_update, iteration=bench_iteration)
+PARTS = dict(environment=bench_environment, update=bench_update, iteration=bench_iteration)
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", help=f"any of {', '.join(PARTS)}; by default all")
+    parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--task", choices=tasks.TASKS, default="flat")
     parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--threads", type=int, default=0, help="of the physics; 0 takes every core")
     args = parser.parse_args()
-    if unknown := set(args.parts) - set(PARTS):
-        parser.error(f"unknown part {', '.join(sorted(unknown))}: choose from {', '.join(PARTS)}")
-    for part in args.parts or PARTS:
+    for part in [args.only] if args.only else PARTS:
         PARTS[part](args)

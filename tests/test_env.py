@@ -946,13 +946,20 @@ def test_standing_on_a_height_field():
 def test_no_foot_sinks_in(task):
     """With the most friction and the most payload of a task, the soles of a robot that stands are 5 mm deep at most.
 
-    At a friction of 3, as in the lab's code, they would be 3 cm deep and the shins on the ground: every robot falls.
+    MuJoCo's pyramidal contacts give way the more friction they have: at 2 the soles are more than 1 cm deep, and at 3,
+    as in the lab's code, the shins touch the ground, which is a fall (D24).
     """
     settings = tasks.task_config(task)
     env = make(1, task=task, roughness=(0.0, 0.0), friction=settings.friction[1:] * 2, payload=settings.payload[1:] * 2)
     place(env, height=0.31)
     assert not any(still(env)[2] for _ in range(100))
     assert -0.005 < soles(env.qpos[0]).min() < 0
+    env.friction[:, env.feet, 0] = 2.0  # which no setting allows
+    still(env, 50)
+    assert soles(env.qpos[0]).min() < -0.01
+    if env.task.only_feet:
+        env.friction[:, env.feet, 0] = 3.0
+        assert any(still(env)[2] for _ in range(100))
 
 
 @pytest.mark.parametrize("roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"])
