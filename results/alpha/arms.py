@@ -7,18 +7,22 @@ c    a, but the advantages of each stream are normalised before they are mixed, 
 d    the control of c: normalised streams, fixed weights 1.5 : 1, no pi' and so no alpha. What the lab's code may
      have amounted to (lab code: its alpha is the sum of normalised advantages, which is zero)
 e    a, from a lambda_0 ten times as large as the task's: too large for PPO to move (`ppo10`, beside it)
+f    our remedy for alphas of any size: the step of b, but relative to alpha itself, not to its start
 ppo  PPO(lambda_0), and ppo0 PPO(0), beside them
 """
 
 import sys
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import eipo
 import train
 
-ARMS = ("a", "b", "c", "d", "e", "ppo", "ppo0", "ppo10")
+ARMS = ("a", "b", "c", "d", "e", "f", "ppo", "ppo0", "ppo10")
 
 
 def normalised(stream):
@@ -36,6 +40,15 @@ def mix_fixed(advantage, alpha, lam):
     return mix_normalised(advantage, 1.5, 1.0)
 
 
+def step_relative(dual, gap, cfg):
+    """eipo.step_alpha on log alpha, momentum dampened: alpha moves by 1 % per iteration at most, and stays positive."""
+    if not np.isfinite(gap):
+        return dual
+    gradient = np.clip(-gap, -cfg.clip_alpha, cfg.clip_alpha)
+    velocity = cfg.momentum_alpha * dual.velocity + (1 - cfg.momentum_alpha) * gradient
+    return eipo.Dual(float(dual.alpha * np.exp(cfg.lr_alpha * velocity)), float(velocity))
+
+
 def main(arm, argv):
     """Train one arm; returns the exit status."""
     if arm not in ARMS:
@@ -49,6 +62,8 @@ def main(arm, argv):
         argv = [*argv, "--lam", f"{dict(ppo0=0).get(arm, 10) * lam:g}"]
     if arm in ("d", "ppo", "ppo0", "ppo10"):
         argv = ["--algo", "ppo", *argv]
+    if arm == "f":
+        eipo.eipo = partial(eipo.eipo, step_alpha=step_relative)
     eipo.mix = dict(c=mix_normalised, d=mix_fixed).get(arm, eipo.mix)
     return train.main(argv)
 
