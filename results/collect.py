@@ -1,8 +1,9 @@
 """Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
 For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png,
-from what was collected: task reward, speed, power and alpha over environment steps (for `alpha`, which compares its
-readings, also the gap and the effective lambda, 1 / alpha), each a running mean of 100 iterations.
+from what was collected: task reward, speed, power and alpha over environment steps, each a running mean of 100
+iterations. `alpha/flat` and `alpha/velocity`, which compare readings of alpha, also show the gap and the effective
+lambda, 1 / alpha, of all runs up to the steps of the shortest.
 """
 
 import re
@@ -47,7 +48,8 @@ def smooth(x):
 
 def draw(folders, into):
     """curves.png, one line per run; the dotted lines are pi' of EIPO."""
-    panels = ALPHA_PANELS if into.name == "alpha" else PANELS
+    readings = into.parent.name == "alpha"
+    panels = ALPHA_PANELS if readings else PANELS
     figure = Figure(figsize=(12, 3.25 * len(panels) / 2), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(len(panels) // 2, 2).flat, panels.items(), strict=True):
         for folder, colour in zip(folders, COLOURS[: len(folders)], strict=True):
@@ -60,6 +62,8 @@ def draw(folders, into):
                     axes.plot(steps, smooth(c[column]), style, color=colour, label=label)
         axes.set(title=title, xlabel="million environment steps")
         axes.grid(alpha=0.3)
+        if readings:
+            axes.set_xlim(0, min(columns(folder)["steps"][-1] for folder in folders) / 1e6)
     figure.axes[2].set_yscale("log")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     figure.savefig(into / "curves.png", dpi=110)

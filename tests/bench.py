@@ -89,8 +89,9 @@ def bench_update(args):
     print(f"update       {rate:8.0f} GFLOP/s, matrix product {peak:4.0f}: ratio {rate / peak:.2f} (aim 0.70)")
 
 
-def bench_iteration(args, warm_up=3, iterations=6):
+def bench_iteration(args, warm_up=2):
     """Shares of an iteration and steps/s of PPO and of EIPO, and the memory of both; prints them."""
+    iterations = max(2, 2048 // args.num_envs)  # about as many steps with few environments as with many
     for algo, policies in (("ppo", 1), ("eipo", 2)):
         envs = [go1_env.Go1Env(args.num_envs // policies, tasks.task_config(args.task)) for _ in range(policies)]
         cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
