@@ -1,9 +1,9 @@
 """Collect finished runs into a folder beside this file: `python results/collect.py flat RUN...`.
 
-For each run: config.json, every tenth row of metrics.csv, policy.npz for EIPO, the curriculum's map. Then curves.png,
-from what was collected: task reward, speed, power and alpha over environment steps, each a running mean of 100
-iterations. `alpha/flat` and `alpha/velocity`, which compare readings of alpha, also show the gap and the effective
-lambda, 1 / alpha, of all runs up to the steps of the shortest.
+For each run: config.json, every tenth row of metrics.csv, policy.npz (of PPO only on the curriculum), the map of
+commands. Then curves.png, from what was collected: task reward, speed, power and alpha over environment steps, each a
+running mean of 100 iterations. `alpha/flat` and `alpha/velocity`, which compare readings of alpha, also show the gap
+and the effective lambda, 1 / alpha, of all runs up to the steps of the shortest.
 """
 
 import re
@@ -29,7 +29,8 @@ def collect(run, into):
     (to / "config.json").write_text(re.sub(r"--out \S*/(?=\S)", "--out runs/", config))  # wherever the runs were kept
     header, *rows = (run / "metrics.csv").read_text().splitlines()
     (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
-    for name in ("policy.npz",) * ("eipo" in run.name) + ("commands.png",) * (run / "commands.png").exists():
+    mapped = (run / "commands.png").exists()
+    for name in ("policy.npz",) * ("eipo" in run.name or mapped) + ("commands.png",) * mapped:
         shutil.copy(run / name, to)
 
 
