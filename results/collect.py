@@ -38,6 +38,7 @@ def columns(folder):
     """The columns of a metrics.csv as arrays."""
     rows = np.genfromtxt(folder / "metrics.csv", delimiter=",", names=True)
     c = {name: rows[name] for name in rows.dtype.names}
+    c["reward"] = c.get("task_reward", c["reward"])  # the shaped reward is another sum
     with np.errstate(divide="ignore"):
         return c | dict(lam=1 / c["alpha"])
 
