@@ -2,8 +2,8 @@
 
 For each run: config.json, every tenth row of metrics.csv, policy.npz (of PPO only on the curriculum), the map of
 commands. Then curves.png, from what was collected: task reward, speed, power and alpha over environment steps, each a
-running mean of 100 iterations. `alpha/flat` and `alpha/velocity`, which compare readings of alpha, also show the gap
-and the effective lambda, 1 / alpha, of all runs up to the steps of the shortest.
+running mean of 100 iterations. Folders of `alpha`, which compare readings of it (`alpha/flat`), have 1500 iterations
+at most and no policies, and their curves also show the gap and the effective lambda, 1 / alpha.
 """
 
 import re
@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
 ALPHA_PANELS = PANELS | dict(gap="gap J(pi) - J(pi')", lam="effective lambda, 1 / alpha")
 # told apart by colour-blind readers
-COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999")
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999", "#882255")
 
 
 def collect(run, into):
@@ -28,9 +28,10 @@ def collect(run, into):
     config = (run / "config.json").read_text()
     (to / "config.json").write_text(re.sub(r"--out \S*/(?=\S)", "--out runs/", config))  # wherever the runs were kept
     header, *rows = (run / "metrics.csv").read_text().splitlines()
-    (to / "metrics.csv").write_text("\n".join([header, *rows[9::10]]) + "\n")
+    reading = into.parent.name == "alpha"
+    (to / "metrics.csv").write_text("\n".join([header, *rows[9 : 1500 if reading else None : 10]]) + "\n")
     mapped = (run / "commands.png").exists()
-    for name in ("policy.npz",) * ("eipo" in run.name or mapped) + ("commands.png",) * mapped:
+    for name in ("policy.npz",) * (("eipo" in run.name and not reading) or mapped) + ("commands.png",) * mapped:
         shutil.copy(run / name, to)
 
 
@@ -50,8 +51,7 @@ def smooth(x):
 
 def draw(folders, into):
     """curves.png, one line per run; the dotted lines are pi' of EIPO."""
-    readings = into.parent.name == "alpha"
-    panels = ALPHA_PANELS if readings else PANELS
+    panels = ALPHA_PANELS if into.parent.name == "alpha" else PANELS
     figure = Figure(figsize=(12, 3.25 * len(panels) / 2), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(len(panels) // 2, 2).flat, panels.items(), strict=True):
         for folder, colour in zip(folders, COLOURS[: len(folders)], strict=True):
@@ -64,9 +64,8 @@ def draw(folders, into):
                     axes.plot(steps, smooth(c[column]), style, color=colour, label=label)
         axes.set(title=title, xlabel="million environment steps")
         axes.grid(alpha=0.3)
-        if readings:
-            axes.set_xlim(0, min(columns(folder)["steps"][-1] for folder in folders) / 1e6)
-    figure.axes[2].set_yscale("log")
+    for axes in (2, 3, 5) if panels is ALPHA_PANELS else (2,):
+        figure.axes[axes].set_yscale("log")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     figure.savefig(into / "curves.png", dpi=110)
 

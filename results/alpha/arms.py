@@ -6,7 +6,7 @@ b    lambda_0 stays, its weight starts at 1, and momentum is dampened. In our un
 c    a, but the advantages of each stream are normalised before they are mixed, as the lab's code does it
 d    the control of c: normalised streams, fixed weights 1.5 : 1, no pi' and so no alpha. What the lab's code may
      have amounted to (lab code: its alpha is the sum of normalised advantages, which is zero)
-e    a, from a lambda_0 ten times as large as the task's: too large for PPO to move (`ppo10`, beside it)
+e    a, from a lambda_0 ten times as large as the task's (`ppo10`, PPO with it, beside it)
 f    our remedy for alphas of any size: the step of b, but relative to alpha itself, not to its start
 ppo  PPO(lambda_0), and ppo0 PPO(0), beside them
 """
