@@ -1,14 +1,14 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO as its inner loop. JAX and optax.
 
 Read from the bottom: `eipo()` is Algorithm 1, tagged with the paper's line numbers. What it calls stands above it,
-in the order of Algorithm 1: networks, rollout (L6, L7), estimates (L8, L10, L12), PPO update (L9, L11), the step on
-alpha (L13).
+in the order of Algorithm 1: learners (L3), rollout (L6, L7), estimates (L8, L10, L12), PPO update (L9, L11), the step
+on alpha (L13). The networks that all of them call are in `networks.py`.
 
     J, F            discounted sums of the task reward (Eq. 1) and of the auxiliary cost (Eq. 3)
     pi, pi_prime    the policy that we want, alpha J - F, and the one that only knows the task, J
     alpha           the multiplier of Eq. (4); what Eq. (2) calls lambda is 1 / alpha
     lam             lambda_0: where 1 / alpha starts (EIPO) or stays (PPO)
-    T, N, K         steps of a rollout, environments, heads of the critic (task, cost)
+    T, N            steps of a rollout, environments; D, P, A, K as in `networks.py`
 
 The outer loop is plain Python, so that a `breakpoint()` works anywhere in it; what is worth compiling is jitted. An
 environment here is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
@@ -22,7 +22,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.scipy.stats import norm
+
+from networks import init_mlp, log_prob, policy, value
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] the noise of the policy can neither vanish nor explode
 LR_RANGE = (1e-5, 1e-3)  # [lab code] at least, [IV-C] at most
@@ -106,52 +107,7 @@ class State(NamedTuple):
     at_prime: tuple | None  # None for PPO
 
 
-# ---- networks (Section IV-C.b) ----
-
-
-def init_mlp(key, sizes):
-    """Layers [(W, b), ...] of an MLP, uniform in +- 1/sqrt(fan-in) [lab code: PyTorch's default]."""
-    layers = []
-    for k, n_in, n_out in zip(jax.random.split(key, len(sizes) - 1), sizes[:-1], sizes[1:], strict=True):
-        both = jax.random.uniform(k, (n_in + 1, n_out), minval=-1, maxval=1) / np.sqrt(n_in)
-        layers.append((both[:-1], both[-1]))
-    return layers
-
-
-def mlp(layers, x):
-    """x: (..., n_in) -> (..., n_out), ELU between the layers. The tests forbid implicit broadcasting of ranks."""
-    *hidden, (w_out, b_out) = layers
-    for w, b in hidden:
-        x = jax.nn.elu(x @ w + jnp.broadcast_to(b, (*x.shape[:-1], *b.shape)))
-    return x @ w_out + jnp.broadcast_to(b_out, (*x.shape[:-1], *b_out.shape))
-
-
-def policy(params, obs):
-    """Mean and standard deviation (..., A) of the action, and the estimate (..., P) of what is privileged.
-
-    obs: (..., D). The estimate is an input of the actor, but learns from its own error alone (D19).
-    """
-    estimate = mlp(params["estimator"], obs)
-    mean = mlp(params["actor"]["layers"], jnp.concatenate([obs, jax.lax.stop_gradient(estimate)], -1))
-    return mean, jnp.broadcast_to(jnp.exp(params["actor"]["log_std"]), mean.shape), estimate
-
-
-@jax.jit
-def value(params, obs, privileged):
-    """The critic: (..., K) values of obs (..., D), privileged (..., P)."""
-    return mlp(params["critic"], jnp.concatenate([obs, privileged], -1))
-
-
-@jax.jit
-def act(params, obs, key, t):
-    """Sample actions (N, A) for obs (N, D). key, t: random key of the rollout and step within it."""
-    mean, std, _ = policy(params, obs)
-    return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
-
-
-def log_prob(mean, std, action):
-    """Log-density (...,) of action (..., A) under independent normals."""
-    return norm.logpdf(action, mean, std).sum(-1)
+# ---- L3: learners ----
 
 
 def optimizer(cfg):
@@ -175,6 +131,13 @@ def init_learner(key, sizes, heads, cfg):
 
 
 # ---- L6, L7: rollouts ----
+
+
+@jax.jit
+def act(params, obs, key, t):
+    """Sample actions (N, A) for obs (N, D). key, t: random key of the rollout and step within it."""
+    mean, std, _ = policy(params, obs)
+    return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
 
 
 def rollout(env, params, at, key, cfg):

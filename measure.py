@@ -14,8 +14,8 @@ import jax
 import numpy as np
 from scipy import stats
 
-import eipo
 import go1_env
+import networks
 import run_folder
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
@@ -45,7 +45,7 @@ def load(folder, num_episodes, clip=None, roughness=None, threads=0):
     config = replace(config, reward="paper", stagger=False, command_steps=config.episode_steps,
                      clip=clip or config.clip, ground_seed=SEED,
                      roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
-    return jax.jit(lambda obs: eipo.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
+    return jax.jit(lambda obs: networks.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
 
 
 def steps(mean, env, command=None):

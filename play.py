@@ -22,7 +22,7 @@ import mujoco
 import mujoco.viewer
 import numpy as np
 
-import eipo
+import networks
 import run_folder
 import scene
 
@@ -36,7 +36,7 @@ def play(env, folder, command, follow=False):
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place; follow: load each new policy.npz
     """
     path, loaded = Path(folder) / "policy.npz", None
-    mean = jax.jit(lambda params, obs: eipo.policy(params, obs)[0])
+    mean = jax.jit(lambda params, obs: networks.policy(params, obs)[0])
     obs, _ = env.reset(0, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):

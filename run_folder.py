@@ -158,7 +158,7 @@ def save_policy(path, params, env_config):
 
 
 def load_policy(path):
-    """The parameters that `eipo.policy` takes and the environment's Config, from a policy.npz."""
+    """The parameters that `networks.policy` takes and the environment's Config, from a policy.npz."""
     arrays = read_npz(path)
 
     def layers(net):

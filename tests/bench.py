@@ -11,7 +11,8 @@ import argparse
 import contextlib
 import resource
 import sys
-import time
+import timeit
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -34,15 +35,14 @@ def watch(**places):
     spent = dict.fromkeys(places, 0.0)
 
     def timed(name, function, *args):
-        start = time.perf_counter()
+        start = timeit.default_timer()
         result = jax.block_until_ready(function(*args))
-        spent[name] += time.perf_counter() - start
+        spent[name] += timeit.default_timer() - start
         return result
 
     with contextlib.ExitStack() as stack:
         for name, (owner, function) in places.items():
-            wrapped = lambda *args, n=name, f=getattr(owner, function): timed(n, f, *args)  # noqa: E731
-            stack.enter_context(mock.patch.object(owner, function, wrapped))
+            stack.enter_context(mock.patch.object(owner, function, partial(timed, name, getattr(owner, function))))
         yield spent
 
 
@@ -74,17 +74,14 @@ def bench_update(args):
 
     def update():
         learner[0], log = eipo.ppo_update(learner[0], tau, estimated, advantage, key, cfg)
-        return log
+        return jax.block_until_ready(log)
 
     a, product = jnp.ones((1024, 1024)), jax.jit(lambda a: a @ a)
     forward = sum(2 * w.size for w in jax.tree.leaves(learner[0].params) if w.ndim == 2)  # FLOP of one sample
     work = 3 * forward * cfg.num_epochs * cfg.num_steps * args.num_envs
-    times = np.empty((ROUNDS + 1, 2))
-    for i, j in np.ndindex(times.shape):  # in turn; the first round compiles
-        start = time.perf_counter()
-        jax.block_until_ready((update, lambda: product(a))[j]())
-        times[i, j] = time.perf_counter() - start
-    t_update, t_product = times[1:].min(0)
+    both = update, lambda: product(a).block_until_ready()
+    times = [[timeit.timeit(f, number=1) for f in both] for _ in range(ROUNDS + 1)]  # in turn; the first compiles
+    t_update, t_product = np.min(times[1:], 0)
     rate, peak = work / t_update / 1e9, 2 * 1024**3 / t_product / 1e9
     print(f"update       {rate:8.0f} GFLOP/s, matrix product {peak:4.0f}: ratio {rate / peak:.2f} (aim 0.70)")
 
@@ -100,9 +97,9 @@ def bench_iteration(args, warm_up=2):
             for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
                 jax.block_until_ready(state.pi)
                 if state.iteration == warm_up:  # compiled by now
-                    start = time.perf_counter()
+                    start = timeit.default_timer()
                     spent.update(dict.fromkeys(spent, 0.0))
-        total = time.perf_counter() - start
+        total = timeit.default_timer() - start
         shares = dict(physics=sum(spent[name] for name in places), policy=spent["policy"])
         shares |= dict(host=spent["rollout"] - sum(shares.values()), update=total - spent["rollout"])
         shares = ", ".join(f"{name} {t / total:.0%}" for name, t in shares.items())

@@ -16,6 +16,7 @@ import pytest
 from test_eipo import CONFIG
 
 import eipo
+import networks
 from eipo import Dual
 
 EIPO = replace(CONFIG, algo="eipo")  # one set of numbers for both files: JAX compiles once
@@ -182,7 +183,7 @@ def test_algorithm1_policies_share_no_luck(with_effort):
     noise = []
     for diary, name in ((env.diary, "pi"), (env_prime.diary, "pi_prime")):
         for t, (obs, action) in enumerate(diary):
-            mean, std, _ = eipo.policy(getattr(states[t // 8][0], name).params, obs)
+            mean, std, _ = networks.policy(getattr(states[t // 8][0], name).params, obs)
             noise.append((action - np.asarray(mean)) / np.asarray(std))
     assert len(noise) == 32
     assert np.unique(np.round(noise, 4)).size > 0.95 * np.size(noise)
@@ -329,12 +330,12 @@ def at(t):
 
 def values(state, t=0):
     """V (2, K) where x is -1 and where it is 1."""
-    return np.asarray(eipo.value(state.pi.params, *at(t)))
+    return np.asarray(networks.value(state.pi.params, *at(t)))
 
 
 def means(learner):
     """Mean actions where x is -1 and where it is 1."""
-    return np.asarray(eipo.policy(learner.params, at(0)[0])[0])[:, 0]
+    return np.asarray(networks.policy(learner.params, at(0)[0])[0])[:, 0]
 
 
 def near(x):
@@ -369,7 +370,7 @@ def test_estimator_learns_what_is_privileged(after_two_steps):
     """x + t, from an observation of x and t."""
     for t in (0, 1):
         obs, privileged = at(t)
-        estimate = eipo.policy(after_two_steps.pi.params, obs)[2]
+        estimate = networks.policy(after_two_steps.pi.params, obs)[2]
         assert np.ravel(estimate) == near(np.ravel(privileged))
 
 

@@ -14,6 +14,7 @@ import optax
 import pytest
 
 import eipo
+import networks
 import train
 from eipo import Config, Dual, Estimate, Rollout
 
@@ -204,14 +205,14 @@ def test_estimate_J_is_the_task_alone():
 def test_networks_elu_between_the_layers_only():
     """One unit: ELU(2) = 2, ELU(-1) = 1/e - 1; a lone layer stays linear: 3 (-1) + 1 = -2."""
     unit = (jnp.ones((1, 1)), jnp.zeros(1))
-    hidden = eipo.mlp([unit, unit], jnp.array([[2.0], [-1.0]]))
+    hidden = networks.mlp([unit, unit], jnp.array([[2.0], [-1.0]]))
     assert hidden.ravel().tolist() == pytest.approx([2, -0.63212056])
-    assert eipo.mlp([(3 * unit[0], unit[1] + 1)], jnp.array([-1.0])).tolist() == [-2]
+    assert networks.mlp([(3 * unit[0], unit[1] + 1)], jnp.array([-1.0])).tolist() == [-2]
 
 
 def test_networks_init_range():
     """Uniform in +- 1 / sqrt(fan-in): 16 inputs, +- 1/4. 17 * 64 draws come within 1 % of both ends."""
-    (w, b), last = eipo.init_mlp(KEY, (16, 64, 4))
+    (w, b), last = networks.init_mlp(KEY, (16, 64, 4))
     both = np.concatenate([w, b[None]])
     assert (w.shape, b.shape, last[0].shape, last[1].shape) == ((16, 64), (64,), (64, 4), (4,))
     assert -0.25 <= both.min() < -0.2475 and 0.2475 < both.max() <= 0.25 and abs(both.mean()) < 0.02
@@ -224,22 +225,22 @@ def test_networks_who_sees_what():
     obs = 3, privileged = 5: mean 51, estimate 6, value 3 + 40 = 43.
     """
     params = handmade(critic=((1.0,), (8.0,)), estimator=((2.0,),), actor=((1.0,), (8.0,)))
-    mean, std, estimate = eipo.policy(params, jnp.array([3.0]))
+    mean, std, estimate = networks.policy(params, jnp.array([3.0]))
     assert (mean.tolist(), std.tolist(), estimate.tolist()) == ([51], [1], [6])
-    assert eipo.value(params, jnp.array([3.0]), jnp.array([5.0])).tolist() == [43]
+    assert networks.value(params, jnp.array([3.0]), jnp.array([5.0])).tolist() == [43]
 
 
 def test_networks_noise():
     """log_std = -1: the noise is exp(-1), the same for every observation."""
     params = handmade()
     params["actor"]["log_std"] = jnp.array([-1.0])
-    assert eipo.policy(params, jnp.ones((2, 1)))[1] == pytest.approx(np.full((2, 1), 0.36787944))
+    assert networks.policy(params, jnp.ones((2, 1)))[1] == pytest.approx(np.full((2, 1), 0.36787944))
 
 
 def test_networks_log_prob():
     """Two independent normals at z = (0, 1), std = (1, 2): -0 - 1/2 - log 1 - log 2 - log(2 pi) = -3.0310242."""
     mean, std, action = jnp.array([3.0, 1.0]), jnp.array([1.0, 2.0]), jnp.array([3.0, 3.0])
-    assert float(eipo.log_prob(mean, std, action)) == pytest.approx(-3.0310242)
+    assert float(networks.log_prob(mean, std, action)) == pytest.approx(-3.0310242)
 
 
 # ---- PPO: L9, L11 ----
@@ -477,9 +478,10 @@ def test_settings_of_ppo_are_checked_as_ppo():
 
 def test_imports_know_nothing_of_robots_and_files():
     root = Path(eipo.__file__).parent
-    nodes = list(ast.walk(ast.parse((root / "eipo.py").read_text())))
+    trees = [ast.parse((root / name).read_text()) for name in ("eipo.py", "networks.py")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
     modules = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     modules |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
-    ours = {path.stem for path in root.glob("*.py")}
+    ours = {path.stem for path in root.glob("*.py")} - {"networks"}
     assert "jax" in modules
     assert not {name.split(".")[0] for name in modules} & (ours | {"mujoco", "os", "pathlib", "json"})

@@ -22,6 +22,7 @@ from PIL import Image
 import eipo
 import go1
 import go1_env
+import networks
 import play
 import run_folder
 import scene
@@ -70,7 +71,7 @@ def error_of(capsys, *argv):
 
 
 def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
-    """Random frames in SI units: q_nominal + scale * clip(mean of eipo.policy). The last layer is made so large that
+    """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
     params, config = run_folder.load_policy(runs["velocity"] / "policy.npz")
     w, b = params["actor"]["layers"][-1]
@@ -85,7 +86,7 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
     for _ in range(20):
         frames = rng.normal(size=(2, 44)) * np.where(go1_env.FRAME_SCALE < 0.1, 10, 1)
         obs = (frames * go1_env.FRAME_SCALE).astype(np.float32).ravel()
-        action = np.asarray(eipo.policy(params, obs)[0])
+        action = np.asarray(networks.policy(params, obs)[0])
         beyond.append(np.abs(action) > 10)
         expected = go1.Q_NOMINAL + 0.25 * np.tile([0.5, 1, 1], 4) * np.clip(action, -10, 10)
         np.testing.assert_allclose(names["policy"](frames), expected, rtol=0, atol=1e-5)
