@@ -18,7 +18,7 @@ import eipo
 import go1_env
 import run_folder
 
-AFTER = (20, 100, 200, 300)  # iterations
+AFTER = (20, 100, 200)  # iterations
 
 
 def renew(part, pi, fresh, cfg):
