@@ -1,9 +1,10 @@
 """Training in numbers: `python results/table.py RUN...` prints a Markdown table, a row per run.
 
-Batch means, exploration noise included, over the last 50 iterations at the steps of the shortest run, and alpha there.
-The last column is the iteration from which the running mean of 20 stays above `--above` (1.0) until then, and alpha at
-that iteration. With `--after 500 1000` a run has a row for each of these iterations instead. Also reads what collect.py
-kept, every tenth iteration. When a run first passed a reward: `python results/speed.py reach RUN...`.
+Batch means, exploration noise included, over the last 50 iterations at the steps of the shortest run; the share of the
+episodes ended there that ended in a fall, of pi and of pi', which means of the reward hide; and alpha. The last column
+is the iteration from which the running mean of 20 stays above `--above` (1.0) until then, and alpha at that iteration.
+With `--after 500 1000` a run has a row for each of these iterations instead. Also reads what collect.py kept, every
+tenth iteration. When a run first passed a reward: `python results/speed.py reach RUN...`.
 """
 
 import argparse
@@ -25,12 +26,19 @@ def stays_above(c, above):
     return f"{c['iteration'][at]:.0f} ({c['alpha'][at]:.0f})"
 
 
+def fell(c, who=""):
+    """Share of the ended episodes that ended in a fall; who: "" for pi, "prime_" for pi'."""
+    ends = {name: c[name].sum() for name in c.dtype.names if name.startswith(f"{who}ended_")}
+    return f"{ends[f'{who}ended_fall'] / max(1, sum(ends.values())):.0%}" if ends else ""
+
+
 def row(c, above):
     """The cells of a run up to the last of its columns c."""
     recent = c[c["iteration"] > c["iteration"][-1] - 50]
     means = [f"{recent[name].mean():.4g}" if name in c.dtype.names else "" for name in COLUMNS]
     area = f"{c['command_area'][-1]:.4f}" if "command_area" in c.dtype.names else ""
-    return [f"{c['iteration'][-1]:.0f}", *means, f"{c['alpha'][-1]:.0f}", area, stays_above(c, above)]
+    falls = [fell(recent), fell(recent, "prime_")]
+    return [f"{c['iteration'][-1]:.0f}", *means, *falls, f"{c['alpha'][-1]:.0f}", area, stays_above(c, above)]
 
 
 if __name__ == "__main__":
@@ -43,7 +51,7 @@ if __name__ == "__main__":
         parser.error(f"no metrics.csv in {', '.join(missing)}: give the folders of runs")
     runs = {run.name: np.genfromtxt(run / "metrics.csv", delimiter=",", names=True) for run in args.runs}
     last = min(c["steps"][-1] for c in runs.values())
-    header = ["run", "after iteration", *COLUMNS, "alpha", "commands", f"stays above {args.above} from (alpha there)"]
+    header = ["run", "after iteration", *COLUMNS, "fell", "pi' fell", "alpha", "commands", f"stays above {args.above}"]
     print(f"| {' | '.join(header)} |\n{'|---' * len(header)}|")
     for name, c in runs.items():
         upto = [c["iteration"] <= x for x in args.after] or [c["steps"] <= last]
