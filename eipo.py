@@ -36,7 +36,7 @@ class Config:
     algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
     lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
     seed: int = 0  # [ours] of networks, noise and environments
-    num_envs: int = 128  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
+    num_envs: int = 256  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
     iterations: int = 4000  # [V-A] of Algorithm 1
     num_steps: int = 24  # [IV-C] T, per rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout

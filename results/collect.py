@@ -18,7 +18,8 @@ HERE = Path(__file__).parent
 PANELS = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]", alpha="alpha")
 ALPHA_PANELS = PANELS | dict(gap="gap J(pi) - J(pi')", lam="effective lambda, 1 / alpha")
 # told apart by colour-blind readers
-COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999", "#882255")
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#999999", "#882255", "#ddcc77",
+           "#332288")  # fmt: skip
 
 
 def collect(run, into):
