@@ -1,8 +1,8 @@
 """Where the time goes: `python tests/bench.py` prints ratios, each of two things measured in this one run.
 
     environment   Go1Env.step of every task against that of `flat`, and what mujoco.batch alone takes of it
-    update        ppo_update against a large float32 matrix product, in FLOP of the networks (forward 1, backward 2)
-    iteration     shares of physics, policy, host and update; steps/s of PPO and EIPO; memory
+    iteration     steps/s of PPO and EIPO, shares of physics, policy, host and update; ppo_update against a float32
+                  matrix product, in FLOP of the networks (forward 1, backward 2); memory
 
 Absolute rates on a shared machine mean little. `taskset -c 0` measures one core, of physics and of JAX.
 """
@@ -31,13 +31,13 @@ ROUNDS, STEPS = 7, 25  # how often something is measured; steps of an environmen
 
 @contextlib.contextmanager
 def watch(**places):
-    """Yields a dict of the seconds spent in each of some places: name=(owner, function), looked up when called."""
-    spent = dict.fromkeys(places, 0.0)
+    """Yields a dict of the seconds of each call of some places: name=(owner, function), looked up when called."""
+    spent = {name: [] for name in places}
 
     def timed(name, function, *args):
         start = timeit.default_timer()
         result = jax.block_until_ready(function(*args))
-        spent[name] += timeit.default_timer() - start
+        spent[name].append(timeit.default_timer() - start)
         return result
 
     with contextlib.ExitStack() as stack:
@@ -56,58 +56,40 @@ def bench_environment(args):
         with watch(step=(envs[j], "step"), physics=(envs[j].batch, "step")) as spent:
             for action in actions:
                 envs[j].step(action)
-        times[i, j] = spent["step"], spent["physics"]
+        times[i, j] = sum(spent["step"]), sum(spent["physics"])
     step, physics = times.min(0).T
     for task, cost, ratio in zip(tasks.TASKS, step / step[0], physics / step, strict=True):
         print(f"{task:12} a step costs {cost:.2f} of a flat one (aim 2), physics is {ratio:.2f} of it (aim 0.80)")
 
 
-def bench_update(args):
-    """FLOP rate of ppo_update relative to that of a matrix product; prints both."""
-    cfg = eipo.Config(algo="ppo", num_envs=args.num_envs)
-    env = go1_env.Go1Env(args.num_envs, tasks.task_config(args.task))
-    key = jax.random.key(0)
-    learner = [eipo.init_learner(key, (env.obs_size, env.privileged_size, env.action_size), 2, cfg)]
-    tau, _, _ = eipo.rollout(env, learner[0].params, eipo.start(env, 0), key, cfg)
-    estimated = eipo.estimate(learner[0].params, tau, cfg)
-    advantage = eipo.mix(estimated.advantage, 1 / cfg.lam, cfg.lam)
-
-    def update():
-        learner[0], log = eipo.ppo_update(learner[0], tau, estimated, advantage, key, cfg)
-        return jax.block_until_ready(log)
-
-    a, product = jnp.ones((1024, 1024)), jax.jit(lambda a: a @ a)
-    forward = sum(2 * w.size for w in jax.tree.leaves(learner[0].params) if w.ndim == 2)  # FLOP of one sample
-    work = 3 * forward * cfg.num_epochs * cfg.num_steps * args.num_envs
-    both = update, lambda: product(a).block_until_ready()
-    times = [[timeit.timeit(f, number=1) for f in both] for _ in range(ROUNDS + 1)]  # in turn; the first compiles
-    t_update, t_product = np.min(times[1:], 0)
-    rate, peak = work / t_update / 1e9, 2 * 1024**3 / t_product / 1e9
-    print(f"update       {rate:8.0f} GFLOP/s, matrix product {peak:4.0f}: ratio {rate / peak:.2f} (aim 0.70)")
-
-
 def bench_iteration(args, warm_up=2):
-    """Shares of an iteration and steps/s of PPO and of EIPO, and the memory of both; prints them."""
+    """Steps/s of PPO and of EIPO and what takes the time, their FLOP rate in ppo_update, and memory; prints them."""
     iterations = max(2, 2048 // args.num_envs)  # about as many steps with few environments as with many
+    a, matmul = jnp.ones((1024, 1024)), jax.jit(jnp.matmul)
     for algo, policies in (("ppo", 1), ("eipo", 2)):
         envs = [go1_env.Go1Env(args.num_envs // policies, tasks.task_config(args.task)) for _ in range(policies)]
         cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
-        places = {f"physics{i}": (env.batch, "step") for i, env in enumerate(envs)}
-        with watch(policy=(eipo, "act"), rollout=(eipo, "rollout"), **places) as spent:
-            for state, _ in eipo.eipo(*(*envs, None)[:2], cfg):
-                jax.block_until_ready(state.pi)
-                if state.iteration == warm_up:  # compiled by now
-                    start = timeit.default_timer()
-                    spent.update(dict.fromkeys(spent, 0.0))
-        total = timeit.default_timer() - start
-        shares = dict(physics=sum(spent[name] for name in places), policy=spent["policy"])
-        shares |= dict(host=spent["rollout"] - sum(shares.values()), update=total - spent["rollout"])
+        run = eipo.eipo(*(*envs, None)[:2], cfg)
+        state, _ = [next(run) for _ in range(1 + warm_up)][-1]  # compiled by now
+        forward = sum(2 * w.size for w in jax.tree.leaves(state.pi.params) if w.ndim == 2)  # FLOP of one sample
+        places = dict(policy=(eipo, "act"), rollout=(eipo, "rollout"), update=(eipo, "ppo_update"))
+        places |= {f"physics{i}": (env.batch, "step") for i, env in enumerate(envs)}
+        both = partial(next, run), lambda: matmul(a, a).block_until_ready()
+        with watch(**places) as spent:  # in turn, so that a busy moment hits both
+            times = np.array([[timeit.timeit(f, number=1) for f in both] for _ in range(iterations)])
+        seconds, total = {name: sum(t) for name, t in spent.items()}, times[:, 0].sum()
+        shares = dict(physics=sum(seconds[f"physics{i}"] for i in range(policies)), policy=seconds["policy"])
+        shares |= dict(host=seconds["rollout"] - sum(shares.values()), update=total - seconds["rollout"])
         shares = ", ".join(f"{name} {t / total:.0%}" for name, t in shares.items())
-        print(f"{algo:12} {iterations * cfg.num_steps * cfg.num_envs / total:8.0f} steps/s: {shares}")
+        steps = cfg.num_steps * cfg.num_envs
+        rate = 3 * forward * cfg.num_epochs * steps / policies / min(spent["update"])
+        ratio = rate / (2 * 1024**3 / times[:, 1].min())
+        print(f"{algo:12} {iterations * steps / total:8.0f} steps/s: {shares}")
+        print(f"update       {rate / 1e9:8.0f} GFLOP/s, {ratio:.2f} of a matrix product (aim 0.70)")
     print(f"memory       {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most (aim 2)")
 
 
-PARTS = dict(environment=bench_environment, update=bench_update, iteration=bench_iteration)
+PARTS = dict(environment=bench_environment, iteration=bench_iteration)
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
