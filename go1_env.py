@@ -109,7 +109,7 @@ class Go1Env:
         if self.config.stagger:
             self.age[:] = self.rng.integers(self.config.episode_steps, size=self.num_envs)
             self.frames[:] = self._frame(everyone)[:, None]
-        return self._obs(), {"privileged": self._velocity()[0]}
+        return self._obs(), {"privileged": self._velocity()}
 
     def step(self, action):
         """One control step of 20 ms for every robot.
@@ -125,8 +125,7 @@ class Go1Env:
         self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
         power, cost, fell, efforts = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
         self.age += 1
-        linear, yaw_rate = self._velocity()
-        velocity = np.column_stack([linear[:, :2], yaw_rate])
+        linear, velocity = self._velocity(), self._tracked_velocity(self.config.frame)
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.action).all(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
@@ -137,8 +136,8 @@ class Go1Env:
         terminated = diverged | fell | overload
         truncated = ~terminated & (self.age >= self.config.episode_steps)
         self._stay_on_tile()
-        log = dict(v_x=linear[:, 0], command_x=self.command[:, 0].copy(), power=power, ended_fall=fell & ~diverged,
-                   ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
+        log = dict(v_x=self._tracked_velocity("heading")[:, 0], command_x=self.command[:, 0].copy(), power=power,
+                   ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
         if self.task.curriculum or self.config.max_power:
             log |= dict(ended_power=overload & ~fell & ~diverged)
         self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
@@ -148,7 +147,7 @@ class Go1Env:
         ended = np.flatnonzero(terminated | truncated)
         if ended.size:
             self._reset(ended)
-            linear, _ = self._velocity()
+            linear = self._velocity()
         return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
 
     def state(self):
@@ -175,20 +174,21 @@ class Go1Env:
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
         motor = actuators.motor_model if self.config.motor_model else actuators.pd_torque
-        torques, speeds, fell = [], [], np.zeros(self.num_envs, bool)
+        torques, speeds, fell = [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
         for _ in range(self.config.physics_steps):
             self.targets[:-1], self.targets[-1] = self.targets[1:], target
-            q, qd = self.qpos[:, 7:], self.qvel[:, 6:].copy()
+            q, qd = self.qpos[:, 7:], speeds[-1]
             torque = self.strength * motor(self.targets[0], q + self.offset, qd)
             torque = actuators.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
             self.ctrl[:] = torque
             self.batch.step()
             fell |= (self.contacts[:, self.forbidden] > 0).any(-1)
             torques.append(torque)
-            speeds.append(qd)
+            speeds.append(self.qvel[:, 6:].copy())
         torques, speeds = np.array(torques), np.array(speeds)
-        qdd = (self.qvel[:, 6:] - speeds[0]) / self.period
-        power = energy.total_power(torques, speeds, self.config.clip).mean(0)
+        qdd = (speeds[-1] - speeds[0]) / self.period
+        # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
+        power = energy.total_power(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
         smooth = self.config.aux == "smooth"
         cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
         return power, cost, fell, (torques, qdd)
@@ -228,9 +228,21 @@ class Go1Env:
         return self.gravity / np.linalg.norm(self.gravity, axis=-1, keepdims=True)
 
     def _velocity(self):
-        """True velocity of the trunk in its own frame: linear (N, 3) [m/s] and yaw rate (N,) [rad/s]."""
+        """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
         to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
-        return to_world.apply(self.qvel[:, :3], inverse=True), self.qvel[:, 5].copy()
+        return to_world.apply(self.qvel[:, :3], inverse=True)
+
+    def _tracked_velocity(self, frame):
+        """What Eqs. (5) to (8) compare with the command: v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), D25.
+
+        frame: "heading", which is horizontal and turned with the robot's yaw: the speed over ground; or the "body"'s
+        """
+        if frame == "body":
+            return np.column_stack([self._velocity()[:, :2], self.qvel[:, 5]])
+        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True).as_matrix()
+        yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
+        (x, y), sin, cos = self.qvel[:, :2].T, np.sin(yaw), np.cos(yaw)
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x, (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)])
 
     def _frame(self, ids):
         """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""

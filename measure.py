@@ -19,6 +19,7 @@ import networks
 import run_folder
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
+EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s: below this speed energy per velocity says nothing
 PEAK_STEPS = 10  # 0.2 s, over which the second peak velocity is averaged (D18)
 
@@ -42,7 +43,8 @@ def load(folder, num_episodes, clip=None, roughness=None, threads=0):
     num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
     """
     params, config = run_folder.load_policy(Path(folder) / "policy.npz")
-    config = replace(config, reward="paper", stagger=False, command_steps=config.episode_steps,
+    config = replace(config, reward="paper", frame="heading", stagger=False,
+                     episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
                      clip=clip or config.clip, ground_seed=SEED,
                      roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
     return jax.jit(lambda obs: networks.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)

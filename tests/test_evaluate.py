@@ -31,14 +31,22 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estima
 
 
 def make_run(folder, task, algo="eipo", lam=0.005, seed=0):
-    """What training leaves for evaluate.py to read, without training: episodes of 16 steps, 0.32 s."""
-    env_config = tasks.task_config(task, history=2, episode_steps=16, tiles=2)
+    """What training leaves for evaluate.py to read, without training."""
+    env_config = tasks.task_config(task, history=2, tiles=2)
     config = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
     learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, config)
     folder.mkdir()
     run_folder.save_config(folder, env_config, config, [])
     run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
     return str(folder)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_episodes():
+    """An evaluation plays 16 steps, 0.32 s, instead of the paper's 1000."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "EPISODE_STEPS", 16)
+        yield
 
 
 @pytest.fixture(scope="module")

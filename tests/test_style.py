@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import eipo
+import measure
 import tasks
 import train
 
@@ -97,7 +98,7 @@ def test_paper_settings_are_the_defaults():
         0.99,
         1.0,
     )
-    assert (learner.iterations, learner.lam, env.history, env.episode_steps) == (4000, 0.005, 5, 1000)
+    assert (learner.iterations, learner.lam, env.history, measure.EPISODE_STEPS) == (4000, 0.005, 5, 1000)
     assert (learner.hidden, learner.hidden_estimator) == ((512, 256, 128), (256, 128))
 
 
