@@ -27,6 +27,7 @@ import os
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 import actuators
@@ -43,6 +44,8 @@ ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hip
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
 FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12, 2])
+# A frame seen in a mirror. The clock's is half a period later, which ties the two halves of a trot (D28)
+FRAME_MIRROR = block_diag(np.diag([1, -1, 1, 1, -1, -1]), go1.MIRROR, go1.MIRROR, go1.MIRROR, -np.eye(2))
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
@@ -62,6 +65,8 @@ class Go1Env:
         tasks.check(num_envs, config, threads)
         self.num_envs, self.config, self.task = num_envs, config, tasks.TASKS[config.task]
         self.obs_size = config.history * FRAME_WIDTH
+        obs_mirror = np.kron(np.eye(config.history), FRAME_MIRROR)
+        self.mirror = dict(obs=obs_mirror, privileged=np.diag([1, -1, 1]), action=go1.MIRROR)
         self.period = config.timestep * config.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
@@ -230,7 +235,7 @@ class Go1Env:
     def _velocity(self):
         """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
         to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
-        return to_world.apply(self.qvel[:, :3], inverse=True)
+        return to_world.apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
     def _tracked_velocity(self, frame):
         """What Eqs. (5) to (8) compare with the command: v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), D25.

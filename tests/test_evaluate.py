@@ -34,7 +34,7 @@ def make_run(folder, task, algo="eipo", lam=0.005, seed=0):
     """What training leaves for evaluate.py to read, without training."""
     env_config = tasks.task_config(task, history=2, tiles=2)
     config = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, config)
+    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, config)
     folder.mkdir()
     run_folder.save_config(folder, env_config, config, [])
     run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
