@@ -22,7 +22,7 @@ import run_folder
 import tasks
 
 # What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]. And
-# fewer environments where there is nothing to stand still for [ours], see results/speed.md
+# fewer environments where there is nothing to stand still for [ours], see results/README.md
 TASKS = {
     "flat": dict(lam=0.005, iterations=4000),
     "rough": dict(lam=0.0002, iterations=4000),
