@@ -4,7 +4,7 @@ Section IV-B of the paper. Both are *costs*: positive is bad, and the learner mu
 Every function takes any leading batch shape and reduces the last axis, the twelve joints in the order
 FR, FL, RR, RL x hip, thigh, calf.
 
-Not here: how the torques come about (`actuators.py`) and how the cost is weighed against the task (`eipo.py`).
+Not here: how the torques come about (`go1.py`) and how the cost is weighed against the task (`eipo.py`).
 """
 
 import numpy as np

@@ -29,7 +29,6 @@ import numpy as np
 from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
-import actuators
 import curriculum
 import energy
 import go1
@@ -173,13 +172,13 @@ class Go1Env:
         To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
-        motor = actuators.motor_model if self.config.motor_model else actuators.pd_torque
+        motor = go1.motor_model if self.config.motor_model else go1.pd_torque
         torques, speeds, fell = [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
         for _ in range(self.config.physics_steps):
             self.targets[:-1], self.targets[-1] = self.targets[1:], target
             q, qd = self.qpos[:, 7:], speeds[-1]
             torque = self.strength * motor(self.targets[0], q + self.offset, qd)
-            torque = actuators.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
+            torque = go1.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
             self.ctrl[:] = torque
             self.batch.step()
             fell |= (self.contacts[:, self.forbidden] > 0).any(-1)

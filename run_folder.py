@@ -29,7 +29,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import actuators
 import curriculum
 import eipo
 import go1
@@ -151,8 +150,8 @@ def save_policy(path, params, env_config):
     layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
     weights = {f"{net}.{i}.{name}": np.asarray(x) for net in layers for i, layer in enumerate(layers[net])
                for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
-    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=actuators.KP,
-                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=actuators.KD)  # fmt: skip
+    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
+                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
     arrays = weights | units | dict(config=json.dumps(asdict(env_config)))
     replace_file(path, lambda file: np.savez(file, **arrays))
 

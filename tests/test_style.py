@@ -21,7 +21,6 @@ LAYERS = {
     "energy": {"numpy"},
     "rewards": {"numpy"},
     "terrain": {"numpy", "scipy"},
-    "actuators": {"numpy"},
     "curriculum": {"numpy", "scipy"},
     "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},
