@@ -33,6 +33,7 @@ import curriculum
 import energy
 import go1
 import rewards
+import shaped
 import tasks
 import terrain
 
@@ -89,8 +90,7 @@ class Go1Env:
         self.tile = np.zeros(num_envs, np.int64)  # of the ground, where the episode takes place
         self.weights = curriculum.initial_weights()
         self.cell = np.zeros((num_envs, 2), np.int64)  # of the curriculum, where the command is from
-        self.air_time = np.zeros((num_envs, 4))  # s, how long each foot has been off the ground
-        self.touch = np.zeros((num_envs, 4), bool)  # which feet were on the ground in the step before
+        self.off_ground = np.ones((num_envs, 4), np.int64)  # control steps since each foot touched it, see shaped.py
         self.tracked = np.zeros((num_envs, 2))  # sums of the kernels of Eq. (8) since the command was drawn
         self.rng = np.random.default_rng(0)
 
@@ -120,15 +120,15 @@ class Go1Env:
                  final_obs, final_privileged: the same before autoreset, to be used where an episode ended;
                  log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
         """
-        before = self.action.copy()
+        before = self.action.copy(), self.qvel[:, 6:].copy()
         self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
-        power, cost, fell, efforts = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
+        power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
         self.age += 1
         linear, velocity = self._velocity(), self._tracked_velocity(self.config.frame)
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.action).all(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
-        reward, extra = self._reward(velocity, linear[:, 2], *efforts, self.action - before)
+        reward, extra = self._reward(velocity, *before)
         reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
         power = np.where(diverged, energy.SURVIVAL, power)
         overload = (power > self.config.max_power) & (self.config.max_power > 0)
@@ -163,12 +163,11 @@ class Go1Env:
         self.rng.bit_generator.state = json.loads(str(state["rng"]))
 
     _state = ("frames", "action", "command", "age", "tile", "friction", "mass", "com", "gravity", "strength", "offset",
-              "targets", "weights", "cell", "tracked", "air_time", "touch")  # fmt: skip
+              "targets", "weights", "cell", "tracked", "off_ground")  # fmt: skip
 
     def _physics(self, target):
-        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, who fell, efforts.
+        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, and who fell.
 
-        Efforts are torques [N m], of every physics step, and joint accelerations [rad/s^2], of the control step (D15).
         To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
@@ -190,32 +189,33 @@ class Go1Env:
         power = energy.total_power(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
         smooth = self.config.aux == "smooth"
         cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
-        return power, cost, fell, (torques, qdd)
+        return power, cost, fell
 
-    def _reward(self, velocity, v_z, torques, qdd, action_change):
-        """The reward of a step (N,), and what it adds to the log; the curriculum keeps count of the tracking."""
+    def _reward(self, velocity, action_before, qd_before):
+        """The reward of a step (N,), and what it adds to the log; the curriculum keeps count of the tracking.
+
+        velocity: (N, 3) as of `_tracked_velocity`; before: a control step ago, action and qd [rad/s], (N, 12) each
+        """
         reward, log = self.task.reward(velocity, self.command), {}
         if self.task.curriculum:
             self.tracked += np.column_stack(rewards.kernels(velocity, self.command))
             log |= dict(command_area=np.full(self.num_envs, self.weights.mean()))
         if self.config.reward == "shaped":
             log |= dict(task_reward=reward)
-            reward = rewards.shaped(self._motion(velocity, v_z, torques, qdd, action_change))
+            reward = shaped.reward(self._motion(velocity, action_before, qd_before))
         return reward, log
 
-    def _motion(self, velocity, v_z, torques, qdd, action_change):
-        """What the shaped reward looks at: rewards.Motion."""
-        touch = self.contacts[:, FEET] > 0
-        touching = touch | self.touch  # a foot that bounces for a step has not left the ground [lab code]
-        landed = np.where(touching & (self.air_time > 0), self.air_time + self.period, 0.0)
-        self.air_time[:], self.touch[:] = np.where(touching, 0.0, self.air_time + self.period), touch
+    def _motion(self, velocity, action_before, qd_before):
+        """What the shaped reward looks at: shaped.Motion. Arguments as of `_reward`."""
         to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
-        return rewards.Motion(
-            velocity=velocity, command=self.command, v_z=v_z, roll_pitch_rate=self.qvel[:, 3:5],
-            gravity=to_world.apply(self._down(), inverse=True), torque=torques[-1], qdd=qdd,
-            height=self.qpos[:, 2] - ground, landed=landed, collisions=(self.contacts[:, LEGS] > 0).sum(-1),
-            action_change=action_change, q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
+        return shaped.Motion(
+            velocity=velocity, command=self.command, v_z=self._velocity()[:, 2], roll_pitch_rate=self.qvel[:, 3:5],
+            gravity=to_world.apply(self._down(), inverse=True), torque=self.ctrl,
+            qdd=(self.qvel[:, 6:] - qd_before) / self.period, height=self.qpos[:, 2] - ground,
+            landed=shaped.landings(self.off_ground, self.contacts[:, FEET] > 0, self.period),
+            collisions=(self.contacts[:, LEGS] > 0).sum(-1), action_change=self.action - action_before,
+            q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
 
     def _stay_on_tile(self):
         """Who left the tile comes back on the other side, where the ground goes on: nothing else changes."""
@@ -298,7 +298,7 @@ class Go1Env:
         self.gravity[ids] = GRAVITY + uniform(*self.config.gravity, (n, 3))
         self.strength[ids] = uniform(*self.config.motor_strength, (n, 1))
         self.offset[ids] = uniform(*self.config.motor_offset, (n, 12))
-        self.targets[:, ids], self.air_time[ids], self.touch[ids] = go1.Q_NOMINAL, 0.0, False
+        self.targets[:, ids], self.off_ground[ids] = go1.Q_NOMINAL, 1
         self.action[ids], self.age[ids] = 0.0, 0
         self._draw_commands(ids)
         self.frames[ids] = self._frame(ids)[:, None]

@@ -20,6 +20,7 @@ MODULES = sorted(path.stem for path in ROOT.glob("*.py"))
 LAYERS = {
     "energy": {"numpy"},
     "rewards": {"numpy"},
+    "shaped": {"numpy"},
     "terrain": {"numpy", "scipy"},
     "curriculum": {"numpy", "scipy"},
     "tasks": {"numpy"},
