@@ -186,9 +186,10 @@ class Go1Env:
         torques, speeds = np.array(torques), np.array(speeds)
         qdd = (speeds[-1] - speeds[0]) / self.period
         # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
-        power = energy.total_power(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
-        smooth = self.config.aux == "smooth"
-        cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
+        cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
+        power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
+        if self.config.aux == "smooth":
+            cost = energy.smoothness_cost(torques, self.action, qdd).mean(0)
         return power, cost, fell
 
     def _reward(self, velocity, action_before, qd_before):

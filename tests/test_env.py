@@ -282,7 +282,7 @@ def plain_step(model, robot, action):
         q, qd = robot.qpos[7:], robot.qvel[6:].copy()
         robot.ctrl[:] = np.clip(20 * (target - q) - 0.5 * qd, -TORQUE_LIMIT, TORQUE_LIMIT)
         mujoco.mj_step(model, robot)
-        costs.append(energy.energy_cost(robot.ctrl, (qd + robot.qvel[6:]) / 2))
+        costs.append(energy.energy_cost(robot.ctrl, (qd + robot.qvel[6:]) / 2, "torque"))
     return np.mean(costs)
 
 
