@@ -37,11 +37,11 @@ def by_label(folders, task):
     """
     groups = {}
     for folder in map(Path, folders):
-        env_config, learner = run_folder.load_config(folder)
-        if env_config.task == task:
-            name = "EIPO" if learner.algo == "eipo" else f"PPO({learner.lam:g})"
-            name += " smooth" * (env_config.aux == "smooth") + " shaped" * (env_config.reward == "shaped")
-            groups.setdefault(name, {})[folder] = asdict(env_config) | asdict(learner)
+        env_cfg, cfg = run_folder.load_config(folder)
+        if env_cfg.task == task:
+            name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
+            name += " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+            groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
     if not groups:
         raise ValueError(f"none of the run folders is of the task {task}")
     for name, runs in groups.items():

@@ -50,27 +50,27 @@ class Go1Env:
     """`num_envs` Go1 robots on one task.
 
     num_envs: N, at least 1
-    config:   see tasks.Config
-    threads:  C++ threads; 0 takes every core that this process may use
+    env_cfg:  see tasks.Config
+    threads:  C++ threads; None takes every core that this process may use
     Raises ValueError for an unknown task, a non-positive count or a malformed range.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity: the critic sees it, the estimator learns it
 
-    def __init__(self, num_envs, config=tasks.Config(), threads=0):
-        tasks.check(num_envs, config, threads)
-        self.num_envs, self.config, self.task = num_envs, config, tasks.TASKS[config.task]
-        self.obs_size = config.history * FRAME_WIDTH
-        self.period = config.timestep * config.physics_steps  # s, of a control step
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None):
+        tasks.check(num_envs, env_cfg, threads)
+        self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
+        self.obs_size = env_cfg.history * FRAME_WIDTH
+        self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
         self.ground = None  # a plane
-        if config.roughness[1] > 0:
-            low, high = config.roughness
-            levels = np.linspace(high, low, config.tiles)[::-1]  # a single tile is a rough one
-            self.ground = terrain.make_ground(levels, config.ground_seed, config.cells_per_m, config.octaves)
-        model = go1.build_model(config.timestep, self.ground)
+        if env_cfg.roughness[1] > 0:
+            low, high = env_cfg.roughness
+            levels = np.linspace(high, low, env_cfg.tiles)[::-1]  # a single tile is a rough one
+            self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m, env_cfg.octaves)
+        model = go1.build_model(env_cfg.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
@@ -82,8 +82,8 @@ class Go1Env:
         self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
         self.com, self.gravity = batch.expand("body_ipos"), batch.expand("opt.gravity")
         self.strength, self.offset = np.ones((num_envs, 1)), np.zeros((num_envs, 12))  # of the motors
-        self.targets = np.zeros((config.latency + 1, num_envs, 12))  # rad, on their way to the motors
-        self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
+        self.targets = np.zeros((env_cfg.latency + 1, num_envs, 12))  # rad, on their way to the motors
+        self.frames = np.zeros((num_envs, env_cfg.history, FRAME_WIDTH), np.float32)
         self.action = np.zeros((num_envs, 12))
         self.command, self.given = np.zeros((num_envs, 3)), None
         self.age = np.zeros(num_envs, np.int64)  # control steps since the episode began
@@ -105,8 +105,8 @@ class Go1Env:
         self.weights[:], self.tracked[:] = curriculum.initial_weights(), 0.0
         everyone = np.arange(self.num_envs)
         self._reset(everyone)
-        if self.config.stagger:
-            self.age[:] = self.rng.integers(self.config.episode_steps, size=self.num_envs)
+        if self.env_cfg.stagger:
+            self.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
             self.frames[:] = self._frame(everyone)[:, None]
         return self._obs(), {"privileged": self._velocity()}
 
@@ -121,25 +121,25 @@ class Go1Env:
                  log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
         """
         before = self.action.copy(), self.qvel[:, 6:].copy()
-        self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
+        self.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
         power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
         self.age += 1
-        linear, velocity = self._velocity(), self._tracked_velocity(self.config.frame)
+        linear, velocity = self._velocity(), self._tracked_velocity(self.env_cfg.frame)
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.action).all(-1)
         self.action[diverged] = 0.0  # it may be what was not finite
         reward, extra = self._reward(velocity, *before)
         reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
         power = np.where(diverged, energy.SURVIVAL, power)
-        overload = (power > self.config.max_power) & (self.config.max_power > 0)
+        overload = power > (self.env_cfg.max_power or np.inf)
         terminated = diverged | fell | overload
-        truncated = ~terminated & (self.age >= self.config.episode_steps)
+        truncated = ~terminated & (self.age >= self.env_cfg.episode_steps)
         self._stay_on_tile()
         log = dict(v_x=self._tracked_velocity("heading")[:, 0], command_x=self.command[:, 0].copy(), power=power,
                    ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
-        if self.task.curriculum or self.config.max_power:
+        if self.task.curriculum or self.env_cfg.max_power:
             log |= dict(ended_power=overload & ~fell & ~diverged)
-        self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
+        self._draw_commands(np.flatnonzero(self.age % self.env_cfg.command_steps == 0))
         self.frames[:, :-1] = self.frames[:, 1:]
         self.frames[:, -1] = self._frame(np.arange(self.num_envs))
         info = dict(cost=cost, log=log, final_obs=self._obs(), final_privileged=linear)
@@ -171,13 +171,13 @@ class Go1Env:
         To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
-        motor = go1.motor_model if self.config.motor_model else go1.pd_torque
+        motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
         torques, speeds, fell = [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
-        for _ in range(self.config.physics_steps):
+        for _ in range(self.env_cfg.physics_steps):
             self.targets[:-1], self.targets[-1] = self.targets[1:], target
             q, qd = self.qpos[:, 7:], speeds[-1]
             torque = self.strength * motor(self.targets[0], q + self.offset, qd)
-            torque = go1.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
+            torque = go1.limit_torque(torque, qd, self.task.torque_speed or self.env_cfg.motor_model)
             self.ctrl[:] = torque
             self.batch.step()
             fell |= (self.contacts[:, self.forbidden] > 0).any(-1)
@@ -186,9 +186,9 @@ class Go1Env:
         torques, speeds = np.array(torques), np.array(speeds)
         qdd = (speeds[-1] - speeds[0]) / self.period
         # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
-        cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
+        cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)
         power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
-        if self.config.aux == "smooth":
+        if self.env_cfg.aux == "smooth":
             cost = energy.smoothness_cost(torques, self.action, qdd).mean(0)
         return power, cost, fell
 
@@ -201,7 +201,7 @@ class Go1Env:
         if self.task.curriculum:
             self.tracked += np.column_stack(rewards.kernels(velocity, self.command))
             log |= dict(command_area=np.full(self.num_envs, self.weights.mean()))
-        if self.config.reward == "shaped":
+        if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=reward)
             reward = shaped.reward(self._motion(velocity, action_before, qd_before))
         return reward, log
@@ -247,7 +247,7 @@ class Go1Env:
     def _frame(self, ids):
         """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""
         to_world = Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
-        phase = 2 * np.pi * self.config.clock_hz * self.period * self.age[ids]
+        phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * self.age[ids]
         frame = np.column_stack([
             to_world.apply(self._down()[ids], inverse=True),  # gravity
             self.command[ids],
@@ -256,7 +256,7 @@ class Go1Env:
             self.action[ids],  # previous action
             np.sin(phase), np.cos(phase),  # timing reference
         ])  # fmt: skip
-        noise = self.config.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
+        noise = self.env_cfg.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
         return FRAME_SCALE * (frame + noise)
 
     def _obs(self):
@@ -268,7 +268,7 @@ class Go1Env:
         if self.given is not None:
             self.command[ids] = self.given[ids]
         elif self.task.curriculum:
-            success = curriculum.succeeded(*(self.tracked[ids] / self.config.command_steps).T)
+            success = curriculum.succeeded(*(self.tracked[ids] / self.env_cfg.command_steps).T)
             self.weights[:] = curriculum.update(self.weights, self.cell[ids], success)  # in place: pi and pi' share it
             self.tracked[ids] = 0.0
             self.command[ids], self.cell[ids] = curriculum.sample(self.weights, self.rng, len(ids))
@@ -284,7 +284,7 @@ class Go1Env:
         points = np.einsum("nij,nkj->nki", yaw.as_matrix(), go1.leg_points(q))
         xy, ground = np.zeros((n, 2)), 0.0
         if self.ground is not None:
-            self.tile[ids] = self.rng.integers(self.config.tiles, size=n)
+            self.tile[ids] = self.rng.integers(self.env_cfg.tiles, size=n)
             xy = terrain.origin(self.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
         self.qpos[ids, :2] = xy
@@ -292,13 +292,13 @@ class Go1Env:
         self.qpos[ids, 3:7] = yaw.as_quat(scalar_first=True)
         self.qpos[ids, 7:] = q
         self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]
-        self.friction[np.ix_(ids, self.feet, [0])] = uniform(*self.config.friction, (n, 1, 1))
-        self.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*self.config.payload, n)
-        self.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*self.config.com, (n, 3))
+        self.friction[np.ix_(ids, self.feet, [0])] = uniform(*self.env_cfg.friction, (n, 1, 1))
+        self.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*self.env_cfg.payload, n)
+        self.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*self.env_cfg.com, (n, 3))
         self.batch.set_const(ids)  # what MuJoCo derives from the masses
-        self.gravity[ids] = GRAVITY + uniform(*self.config.gravity, (n, 3))
-        self.strength[ids] = uniform(*self.config.motor_strength, (n, 1))
-        self.offset[ids] = uniform(*self.config.motor_offset, (n, 12))
+        self.gravity[ids] = GRAVITY + uniform(*self.env_cfg.gravity, (n, 3))
+        self.strength[ids] = uniform(*self.env_cfg.motor_strength, (n, 1))
+        self.offset[ids] = uniform(*self.env_cfg.motor_offset, (n, 12))
         self.targets[:, ids], self.off_ground[ids] = go1.Q_NOMINAL, 1
         self.action[ids], self.age[ids] = 0.0, 0
         self._draw_commands(ids)

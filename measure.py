@@ -37,17 +37,17 @@ class Episodes(NamedTuple):
     peak_sustained: np.ndarray  # [m/s] largest mean of 0.2 s
 
 
-def load(folder, num_episodes, clip=None, roughness=None, threads=0):
+def load(folder, num_episodes, clip=None, roughness=None, threads=None):
     """The deterministic policy of a run folder and an environment to try it in: mean(obs) and Go1Env.
 
     num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
     """
-    params, config = run_folder.load_policy(Path(folder) / "policy.npz")
-    config = replace(config, reward="paper", frame="heading", stagger=False,
+    params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
+    env_cfg = replace(env_cfg, reward="paper", frame="heading", stagger=False,
                      episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
-                     clip=clip or config.clip, ground_seed=SEED,
-                     roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
-    return jax.jit(lambda obs: networks.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
+                     clip=clip or env_cfg.clip, ground_seed=SEED,
+                     roughness=env_cfg.roughness if roughness is None else (roughness, roughness))  # fmt: skip
+    return jax.jit(lambda obs: networks.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, env_cfg, threads)
 
 
 def steps(mean, env, command=None):
@@ -57,7 +57,7 @@ def steps(mean, env, command=None):
     """
     obs, _ = env.reset(SEED, command)
     alive = np.ones(env.num_envs, bool)
-    for _ in range(env.config.episode_steps):
+    for _ in range(env.env_cfg.episode_steps):
         obs, reward, terminated, truncated, info = env.step(np.asarray(mean(obs)))
         yield reward, info["log"], alive, alive & terminated
         alive = alive & ~(terminated | truncated)
@@ -65,7 +65,7 @@ def steps(mean, env, command=None):
 
 def run_episodes(mean, env, command=None):
     """Episodes of every robot of env; arguments as of `steps`."""
-    limit, totals, late = env.config.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
+    limit, totals, late = env.env_cfg.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
     recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
     peak, sustained = np.full((2, env.num_envs), -np.inf)
     for t, (reward, log, alive, falls) in enumerate(steps(mean, env, command)):

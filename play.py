@@ -81,8 +81,8 @@ def main(argv):
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
     args = parser.parse_args(argv)
     try:
-        _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
-        env = scene.make_env(config, args.roughness)
+        _, env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")
+        env = scene.make_env(env_cfg, args.roughness)
         greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
         command = np.array(greatest if args.command is None else args.command, float)
         if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:

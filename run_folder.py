@@ -59,7 +59,7 @@ def replace_file(path, write):
     os.replace(temporary, path)
 
 
-def save_config(folder, env_config, config, argv, resume=False):
+def save_config(folder, env_cfg, cfg, argv, resume=False):
     """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
     old = json.loads((folder / "config.json").read_text()) if resume else dict(starts=[])
     starts = old.get("starts", [{name: x for name, x in old.items() if name not in ("env", "learner")}])  # of old runs
@@ -69,7 +69,7 @@ def save_config(folder, env_config, config, argv, resume=False):
         machine=f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}",
         versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
     )
-    record = dict(env=asdict(env_config), learner=asdict(config), starts=[*starts, about])
+    record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
@@ -134,7 +134,7 @@ def load_checkpoint(path, template, envs):
     return state
 
 
-def save_policy(path, params, env_config):
+def save_policy(path, params, env_cfg):
     """policy.npz: what it takes to run the policy without JAX and without this project. README shows how.
 
     estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
@@ -152,7 +152,7 @@ def save_policy(path, params, env_config):
                for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
     units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
-    arrays = weights | units | dict(config=json.dumps(asdict(env_config)))
+    arrays = weights | units | dict(config=json.dumps(asdict(env_cfg)))
     replace_file(path, lambda file: np.savez(file, **arrays))
 
 

@@ -15,11 +15,11 @@ AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is o
 SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
 
 
-def make_env(config, roughness=None):
+def make_env(env_cfg, roughness=None):
     """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
-    level = config.roughness[1] if roughness is None else roughness
+    level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(config, **changes), threads=1)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes), threads=1)
 
 
 def make_scene(env):
@@ -28,7 +28,7 @@ def make_scene(env):
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
         ground = ground._replace(heights=np.tile(ground.heights[margin:-margin, margin:-margin], (AROUND, AROUND)))
-    model = go1.build_model(env.config.timestep, ground)
+    model = go1.build_model(env.env_cfg.timestep, ground)
     return model, mujoco.MjData(model)
 
 

@@ -39,9 +39,9 @@ def commands(what, flags):
 def progress(argv):
     """How far the run of these train.py arguments is: "", "started" or "done"."""
     options, given_env, given_learner = train.parse(argv)
-    env_config, config = train.settle(given_env, given_learner)
-    folder = train.run_path(train.Options(**options), env_config, config)
+    env_cfg, cfg = train.settle(given_env, given_learner)
+    folder = train.run_path(train.Options(**options), env_cfg, cfg)
     if not (folder / "checkpoint.npz").exists():
         return ""
-    train.settle_resumed(folder, asdict(env_config), asdict(config))  # raises if it is a run of other settings
-    return "done" if len((folder / "metrics.csv").read_text().splitlines()) > config.iterations else "started"
+    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
+    return "done" if len((folder / "metrics.csv").read_text().splitlines()) > cfg.iterations else "started"

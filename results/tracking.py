@@ -37,7 +37,7 @@ def follow(mean, env, v_x, yaw):
         moved.append(np.column_stack([velocity[:, [0, 2]], log["power"]])[going])
         ends += [(alive & log["ended_fall"]).sum(), (alive & log["ended_power"]).sum()]
     speed, turn, power = np.concatenate(moved).mean(0)
-    linear, angular = kernels / env.num_envs / env.config.episode_steps
+    linear, angular = kernels / env.num_envs / env.env_cfg.episode_steps
     fell, overload = ends / env.num_envs
     return {"v_x": f"{speed:.2f}", "yaw rate": f"{turn:.2f}", "linear": f"{linear:.2f}", "angular": f"{angular:.2f}",
             "power": f"{power:.0f}", "fell": f"{fell:.0%}", "800 W": f"{overload:.0%}"}  # fmt: skip

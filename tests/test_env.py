@@ -461,7 +461,7 @@ def test_friction_and_payload_last_one_episode():
 
 
 @pytest.mark.parametrize("task", tasks.TASKS)
-@pytest.mark.parametrize("threads", [2, 0])
+@pytest.mark.parametrize("threads", [2, None])
 def test_threads_do_not_change_the_bits(threads, task):
     """A laptop and a server train the same policy. Crosses resets and draws of commands."""
     one, many = (make(5, threads=n, task=task, stagger=True, noise=1.0, episode_steps=5) for n in (1, threads))
@@ -489,7 +489,7 @@ def test_state_continues_with_the_same_bits(tmp_path, task):
     actions = random_actions(env, 12)
     run(env, actions[:3])
     np.savez(tmp_path / "state.npz", **env.state())
-    fresh = Go1Env(3, env.config, threads=2)
+    fresh = Go1Env(3, env.env_cfg, threads=2)
     with np.load(tmp_path / "state.npz", allow_pickle=False) as state:
         fresh.load(state)
     assert same_bits(run(env, actions[3:]), run(fresh, actions[3:]))
@@ -615,6 +615,7 @@ def test_leg_heights_are_those_of_the_model():
     [
         (dict(task="hover"), ["task", "hover"]),
         (dict(num_envs=0), ["num_envs", "0"]),
+        (dict(threads=0), ["threads", "0"]),
         (dict(threads=-1), ["threads", "-1"]),
         (dict(history=0), ["history", "0"]),
         (dict(episode_steps=-5), ["episode_steps", "-5"]),
@@ -623,6 +624,7 @@ def test_leg_heights_are_those_of_the_model():
         (dict(timestep=0.0), ["timestep", "0.0"]),
         (dict(clock_hz=float("inf")), ["clock_hz", "inf"]),
         (dict(action_limit=-10.0), ["action_limit", "-10.0"]),
+        (dict(max_power=0.0), ["max_power", "0.0"]),
         (dict(noise=float("nan")), ["noise", "nan"]),
         (dict(clip="speed"), ["clip", "speed"]),
         (dict(friction=(1.25, 0.5)), ["friction", "1.25", "0.5"]),
@@ -648,7 +650,7 @@ def test_bad_config(arguments, named):
     counts = dict(num_envs=1, threads=1)
     fields = {name: value for name, value in arguments.items() if name not in counts}
     with pytest.raises(ValueError) as error:
-        Go1Env(config=Config(**fields), **{name: arguments.get(name, count) for name, count in counts.items()})
+        Go1Env(env_cfg=Config(**fields), **{name: arguments.get(name, count) for name, count in counts.items()})
     assert "\n" not in (message := str(error.value)) and all(part in message for part in named)
 
 
@@ -850,7 +852,7 @@ def test_tile_lasts_one_episode():
 @pytest.mark.parametrize("task", tasks.TASKS)
 def test_what_may_touch_the_ground(task, height, ends, roughness):
     """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m."""
-    env = make(task=task, roughness=roughness, max_power=0.0, **FROZEN)
+    env = make(task=task, roughness=roughness, max_power=None, **FROZEN)
     place(env, np.zeros(12), height=height)
     _, _, terminated, truncated, info = still(env)
     assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [task in ends] * 2
@@ -863,7 +865,7 @@ def test_self_contact_ends_nothing(task):
 
     0.04675 + 0.08 cos(0.863) = 0.0988 m is how far out a thigh begins.
     """
-    env = make(task=task, max_power=0.0, **FROZEN)
+    env = make(task=task, max_power=None, **FROZEN)
     place(env, np.tile([0.863, 0.8, -1.5, -0.863, 0.8, -1.5], 2))
     _, _, terminated, _, info = still(env)
     assert not terminated.any() and not info["log"]["ended_diverged"].any()
@@ -1009,7 +1011,7 @@ def test_motor_strength_and_offset():
 
 def test_motor_model_of_the_curriculum():
     """D11 with the torque-speed line: at 10 rad/s and no error -0.7 * 10; at half its top speed 16.5 N m for a calf."""
-    env = make(task="curriculum", max_power=0.0, **QUIET, **FROZEN)
+    env = make(task="curriculum", max_power=None, **QUIET, **FROZEN)
     place(env, qd=10.0)
     still(env)
     assert env.ctrl == pytest.approx(np.full((2, 12), -7.0), abs=1e-4)
@@ -1037,11 +1039,11 @@ def test_centre_of_mass_moves_by_what_was_drawn():
     assert not np.delete(shift, trunk, axis=1).any()
 
 
-@pytest.mark.parametrize(("limit", "ends"), [(800.0, False), (100.0, True), (0.0, False)])
+@pytest.mark.parametrize(("limit", "ends"), [(800.0, False), (100.0, True), (None, False)])
 def test_power_limit(limit, ends):
     """D17, IV-A.4: 12 joints that rest at 5 N m heat with 0.7 * 25 * (8 + 4 * 4 / 9) W = 171 W, and 42 W go elsewhere.
 
-    A limit of 800 W lets that pass, one of 100 W ends the episode, and 0 is no limit.
+    A limit of 800 W lets that pass, one of 100 W ends the episode, and None is no limit.
     """
     env = make(task="curriculum", **QUIET | dict(max_power=limit), **FROZEN)
     place(env)
@@ -1101,7 +1103,7 @@ def test_air_time_counts_from_take_off_to_landing():
 
     A foot that is off the ground for one step only has not left it [lab code].
     """
-    env = make(task="curriculum", reward="shaped", max_power=0.0, **QUIET)
+    env = make(task="curriculum", reward="shaped", max_power=None, **QUIET)
     seen, motion = [], env._motion
     env._motion = lambda *x: seen.append(motion(*x)) or seen[-1]
     for height in (1.0, 1.0, 1.0, 0.305, 1.0, 0.305, 1.0, 1.0):

@@ -32,12 +32,12 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estima
 
 def make_run(folder, task, algo="eipo", lam=0.005, seed=0):
     """What training leaves for evaluate.py to read, without training."""
-    env_config = tasks.task_config(task, history=2, tiles=2)
-    config = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, config)
+    env_cfg = tasks.task_config(task, history=2, tiles=2)
+    cfg = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
+    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, cfg)
     folder.mkdir()
-    run_folder.save_config(folder, env_config, config, [])
-    run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
+    run_folder.save_config(folder, env_cfg, cfg, [])
+    run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
     return str(folder)
 
 
@@ -323,7 +323,7 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch, capsys):
     monkeypatch.setattr(measure, "run_episodes", run_episodes)
     assert evaluate.main([runs["rough"], "--clip", "torque", "--roughness", "0.03", "--episodes", "3"]) == 0
     (env,) = seen
-    assert (env.config.clip, env.config.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
+    assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
     assert np.ptp(env.ground.heights[:, : env.ground.heights.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
 
 
@@ -349,8 +349,8 @@ def test_the_same_kind_and_seed_twice_is_one_line(runs, tmp_path, capsys):
 
 def test_runs_that_differ_in_more_than_the_seed_are_one_line(runs, tmp_path, capsys):
     """Other settings are another experiment, which must not be pooled."""
-    config = run_folder.load_config(Path(runs["flat_1"]))
-    run_folder.save_config(tmp_path, replace(config[0], history=3), config[1], [])
+    env_cfg, cfg = run_folder.load_config(Path(runs["flat_1"]))
+    run_folder.save_config(tmp_path, replace(env_cfg, history=3), cfg, [])
     assert "history" in error_of(capsys, "fig2", runs["flat"], tmp_path)
 
 
@@ -431,11 +431,11 @@ def settled(line):
     """Task, algo, lambda, seed and run folder of a line, which has to be one that train.py accepts."""
     python, script, *argv = shlex.split(line)
     assert (python, script) == ("python", "train.py")
-    options, env_config, config = train.parse(argv)
-    env_config, config = train.settle(env_config, config)
-    train.check(config)
-    folder = str(train.run_path(train.Options(**options), env_config, config))
-    return env_config.task, config.algo, config.lam, config.seed, folder
+    options, *given = train.parse(argv)
+    env_cfg, cfg = train.settle(*given)
+    train.check(cfg)
+    folder = str(train.run_path(train.Options(**options), env_cfg, cfg))
+    return env_cfg.task, cfg.algo, cfg.lam, cfg.seed, folder
 
 
 def test_table1_takes_thirty_runs(sweep):
@@ -470,8 +470,8 @@ def test_runs_of_the_figures(sweep, what, kinds):
 
 def fake_run(line, iterations, checkpoint=True):
     """What the run of a line leaves that has got so far: settings, a row per iteration, a checkpoint; its folder."""
-    options, env_config, config = train.parse(shlex.split(line)[2:])
-    settings = train.settle(env_config, config)
+    options, *given = train.parse(shlex.split(line)[2:])
+    settings = train.settle(*given)
     folder = train.run_path(train.Options(**options), *settings)
     folder.mkdir(parents=True)
     run_folder.save_config(folder, *settings, [])
@@ -514,8 +514,8 @@ def test_a_run_killed_before_its_first_checkpoint_can_be_started(sweep):
     """It has rows of metrics and nothing to resume; whatever its line is, train.py must accept it."""
     fake_run(sweep("fig2")[0], 30, checkpoint=False)
     argv = shlex.split(sweep("fig2")[0])[2:]
-    options, env_config, config = train.parse(argv)
-    train.prepare(train.Options(**options), env_config, config)
+    options, *given = train.parse(argv)
+    train.prepare(train.Options(**options), *given)
 
 
 def test_flags_pass_through(sweep):

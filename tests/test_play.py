@@ -42,14 +42,14 @@ needs_gl = pytest.mark.skipif(
 
 def make_run(folder, task, seed=0, action=None):
     """A run folder that holds an untrained policy; action: what it answers to everything, if not what it likes."""
-    env_config = tasks.task_config(task, history=2)
-    config = eipo.Config(hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, config)
+    env_cfg = tasks.task_config(task, history=2)
+    cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,))
+    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, cfg)
     if action is not None:
         w, b = learner.params["actor"]["layers"][-1]
         learner.params["actor"]["layers"][-1] = (jnp.zeros_like(w), jnp.full_like(b, action))
     folder.mkdir(exist_ok=True)
-    run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
+    run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
     return folder
 
 
@@ -73,10 +73,10 @@ def error_of(capsys, *argv):
 def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
     """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
-    params, config = run_folder.load_policy(runs["velocity"] / "policy.npz")
+    params, env_cfg = run_folder.load_policy(runs["velocity"] / "policy.npz")
     w, b = params["actor"]["layers"][-1]
     params["actor"]["layers"][-1] = (40 * w, 40 * b)
-    run_folder.save_policy(tmp_path / "policy.npz", params, config)
+    run_folder.save_policy(tmp_path / "policy.npz", params, env_cfg)
     section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.S)
     monkeypatch.chdir(tmp_path)
@@ -97,9 +97,9 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
 def test_what_the_other_side_needs_is_in_the_file(runs):
     """README: torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, policy 50 times."""
     arrays = run_folder.read_npz(runs["flat"] / "policy.npz")
-    config = run_folder.load_policy(runs["flat"] / "policy.npz")[1]
+    env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")[1]
     assert (arrays["kp"], arrays["kd"]) == (20.0, 0.5)
-    assert (1 / config.timestep, config.physics_steps) == (200.0, 4)
+    assert (1 / env_cfg.timestep, env_cfg.physics_steps) == (200.0, 4)
 
 
 def test_training_loads_nothing_to_look_at_it():
@@ -219,7 +219,7 @@ def test_the_ground_is_the_runs_roughest_or_the_given_one(runs, task, asked, hei
     env = scene.make_env(run_folder.load_policy(runs[task] / "policy.npz")[1], asked)
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground.heights) == pytest.approx(height)
-    assert env.num_envs == 1 and env.config.episode_steps >= 10**9 and not env.config.stagger
+    assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
 
 
 @pytest.mark.parametrize("follow, then", [(True, 1.5), (False, 0.5)])

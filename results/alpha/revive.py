@@ -38,8 +38,8 @@ def renew(part, pi, fresh, cfg):
 
 def load(run):
     """The State of a run of EIPO without its pi', pi's environments in that state, and a Config to go on with."""
-    env_config, cfg = run_folder.load_config(run)
-    envs = [go1_env.Go1Env(cfg.num_envs // 2, env_config, 1) for _ in range(2)]
+    env_cfg, cfg = run_folder.load_config(run)
+    envs = [go1_env.Go1Env(cfg.num_envs // 2, env_cfg, 1) for _ in range(2)]
     state = run_folder.load_checkpoint(run / "checkpoint.npz", next(eipo.eipo(*envs, cfg))[0], envs)
     cfg = replace(cfg, algo="ppo", num_envs=cfg.num_envs // 2, iterations=state.iteration + AFTER[-1])
     return state._replace(pi_prime=None, at_prime=None), envs[0], cfg
