@@ -41,7 +41,7 @@ def play(env, folder, command, follow=False):
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
             loaded, params = path.stat().st_mtime_ns, run_folder.load_policy(path)[0]
-        env.command[:] = env.given[:] = command
+        env.state.command[:] = env.state.given[:] = command
         obs, _, _, _, info = env.step(np.asarray(mean(params, obs)))
         yield info["log"]
 

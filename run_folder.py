@@ -109,7 +109,7 @@ def save_checkpoint(path, state, envs):
     """Everything: learners, optimisers, alpha, and for each environment its simulations and random generator."""
     arrays = {"state" + name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
     for i, env in enumerate(envs):
-        arrays |= {f"env{i}.{name}": x for name, x in env.state().items()}
+        arrays |= {f"env{i}.{name}": x for name, x in env.save().items()}
     replace_file(path, lambda file: np.savez(file, **arrays))
 
 

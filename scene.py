@@ -36,7 +36,7 @@ def show(env, model, data):
     """Put the drawn robot where the simulated one is."""
     data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
     if env.ground is not None:
-        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.tile[0])
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
     mujoco.mj_forward(model, data)
 
 

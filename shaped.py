@@ -1,7 +1,6 @@
 """The shaped reward of reference [5], a baseline of Section V-E: tracking and ten things that a gait should not do.
 
-The weights and the terms are the lab's [lab code]. `train.py --reward shaped` puts `reward` in the place of the task
-reward. What it remembers from step to step, `off_ground`, is kept by the environment with the rest of its state.
+Terms and weights are the lab's [lab code]. `train.py --reward shaped` puts `reward` in the place of the task reward.
 """
 
 from typing import NamedTuple
@@ -9,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 import rewards
+import terrain
 
 WEIGHTS = dict(linear=1.0, angular=0.5, v_z=-2.0, roll_pitch_rate=-0.05, tilt=-5.0, torque=-1e-4, qdd=-2.5e-7,
               height=-30.0, air_time=1.0, collisions=-1.0, action_change=-0.01, joint_limits=-10.0)  # fmt: skip
 HEIGHT = 0.34  # m, of the trunk above the ground
 SOFT_LIMIT = 0.9  # of a joint's range; going beyond costs
+LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: thighs, calves; feet
 
 
 class Motion(NamedTuple):
@@ -32,6 +33,17 @@ class Motion(NamedTuple):
     action_change: np.ndarray  # (..., 12) [-] since the last step
     q: np.ndarray  # (..., 12) [rad]
     joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits
+
+
+def observe(env, velocity, action_before, qd_before):
+    """Motion of the robots of a Go1Env after its physics; before: action and qd [rad/s], (N, 12), a step ago."""
+    ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
+    return Motion(
+        velocity=velocity, command=env.state.command, v_z=env.body_velocity()[:, 2], roll_pitch_rate=env.qvel[:, 3:5],
+        gravity=env.felt_gravity(), torque=env.ctrl, qdd=(env.qvel[:, 6:] - qd_before) / env.period,
+        height=env.qpos[:, 2] - ground, landed=landings(env.state.off_ground, env.contacts[:, FEET] > 0, env.period),
+        collisions=(env.contacts[:, LEGS] > 0).sum(-1), action_change=env.state.action - action_before,
+        q=env.qpos[:, 7:], joint_range=env.joint_range)  # fmt: skip
 
 
 def landings(off_ground, touch, period):

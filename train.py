@@ -156,7 +156,7 @@ def save(folder, state, envs):
     run_folder.save_policy(folder / "policy.npz", state.pi.params, envs[0].env_cfg)
     run_folder.draw_curves(folder)
     if envs[0].task.curriculum:
-        run_folder.draw_commands(folder, envs[0].weights)
+        run_folder.draw_commands(folder, envs[0].state.weights)
 
 
 def train(folder, env_config, config, options, argv, asked):
@@ -165,7 +165,7 @@ def train(folder, env_config, config, options, argv, asked):
     envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
     env, env_prime = (*envs, None)[:2]
     if env_prime is not None:
-        env_prime.weights = env.weights  # one curriculum, or J(pi) and J(pi') would be of different commands
+        env_prime.state.weights = env.state.weights  # one curriculum, or J(pi) and J(pi') would be of other commands
     first, _ = next(eipo.eipo(env, env_prime, config))  # a fresh State, also the template of a saved one
     if options.resume:
         first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)

@@ -30,8 +30,7 @@ def follow(mean, env, v_x, yaw):
     command = np.tile([v_x, 0.0, yaw], (env.num_envs, 1))
     kernels, moved, ends = np.zeros(2), [], np.zeros(2)
     for _, log, alive, fell in measure.steps(mean, env, command):
-        linear, yaw_rate = env._velocity()
-        velocity = np.column_stack([linear[:, :2], yaw_rate])
+        velocity = env.velocity_over_ground()
         going = alive & ~fell  # who has just fallen stands already where the next episode begins
         kernels += np.array(rewards.kernels(velocity, command))[:, going].sum(1)
         moved.append(np.column_stack([velocity[:, [0, 2]], log["power"]])[going])

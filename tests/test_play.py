@@ -209,7 +209,7 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, t
     monkeypatch.setattr(play, "watch", lambda env, steps, asked: seen.append((next(steps), env, asked)))
     assert play.main([str(runs[task]), *argv]) == 0
     ((log, env, asked),) = seen
-    assert asked.tolist() == command and env.command.tolist() == [command] and log["command_x"] == command[:1]
+    assert asked.tolist() == command and env.state.command.tolist() == [command] and log["command_x"] == command[:1]
 
 
 @pytest.mark.parametrize("task, asked, height", [("rough", None, 0.15), ("velocity", None, 0.05), ("flat", None, 0),
@@ -228,7 +228,7 @@ def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then)
     make_run(tmp_path, "flat", action=0.5)
     env, seen = scene.make_env(run_folder.load_policy(tmp_path / "policy.npz")[1]), []
     for i, _ in zip(range(4), play.play(env, tmp_path, np.zeros(3), follow), strict=False):
-        seen.append(env.action.copy())
+        seen.append(env.state.action.copy())
         if i == 1:
             make_run(tmp_path, "flat", action=1.5)
             later = (tmp_path / "policy.npz").stat().st_mtime + 1  # the clock of a file system may be coarse
@@ -241,10 +241,10 @@ def test_the_command_may_change_on_the_way(runs):
     env, command = scene.make_env(run_folder.load_policy(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
     steps = play.play(env, runs["flat"], command)
     next(steps)
-    assert env.frames[0, :, 3].tolist() == [1.0, 1.0]
+    assert env.state.frames[0, :, 3].tolist() == [1.0, 1.0]
     command[0] = 0.75
     next(steps)
-    assert env.frames[0, :, 3].tolist() == [1.0, 1.5]
+    assert env.state.frames[0, :, 3].tolist() == [1.0, 1.5]
 
 
 # ---- the viewer ----

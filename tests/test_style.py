@@ -20,8 +20,8 @@ MODULES = sorted(path.stem for path in ROOT.glob("*.py"))
 LAYERS = {
     "energy": {"numpy"},
     "rewards": {"numpy"},
-    "shaped": {"numpy"},
     "terrain": {"numpy", "scipy"},
+    "shaped": {"numpy"},
     "curriculum": {"numpy", "scipy"},
     "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},

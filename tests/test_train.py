@@ -287,7 +287,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
     assert run("--task", "curriculum", "--out", tmp_path / "run") == 0
     env, env_prime = made
-    env_prime.cell[:], env_prime.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
+    env_prime.state.cell[:], env_prime.state.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
     env_prime._draw_commands(np.array([0]))
-    assert env.weights[4, 22] == pytest.approx(0.2)
+    assert env.state.weights[4, 22] == pytest.approx(0.2)
     assert (tmp_path / "run" / "commands.png").stat().st_size > 1000
