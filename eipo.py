@@ -1,8 +1,8 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO as its inner loop. JAX and optax.
 
-Read from the bottom: `eipo()` is Algorithm 1, tagged with the paper's line numbers. What it calls stands above it,
-in the order of Algorithm 1: learners (L3), rollout (L6, L7), estimates (L8, L10, L12), PPO update (L9, L11), the step
-on alpha (L13). The networks that all of them call are in `networks.py`.
+`eipo()` is Algorithm 1, tagged with the paper's line numbers, and `ppo()` below it is what remains without pi_prime.
+What they call follows in the order in which they call it: learners (L3), rollouts (L6, L7), estimates (L8, L10, L12),
+the PPO update (L9, L11), the step on alpha (L13). The networks are in `networks.py`.
 
     J, F            discounted sums of the task reward (Eq. 1) and of the auxiliary cost (Eq. 3)
     pi, pi_prime    the policy that we want, alpha J - F, and the one that only knows the task, J
@@ -53,8 +53,9 @@ class Config:
     clip_alpha: float = 1.0  # [IV-C] the gradient in alpha is clipped to +- this
     momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
-    alpha0: float = 0.0  # [ours] alpha at the start; 0 means 1 / lam (D6)
+    alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
     log_std: float = 0.0  # [lab code] of the policy's noise, at the start
+    mirror: bool = True  # [ours] networks that know left from right; --no-mirror: the paper's plain MLPs (D28)
     hidden: tuple = (512, 256, 128)  # [IV-C] actor and critic
     hidden_estimator: tuple = (256, 128)  # [IV-C] of the estimator
 
@@ -65,28 +66,6 @@ class Learner(NamedTuple):
     params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
     opt_state: tuple
     lr: jax.Array  # () Adam's step size now
-
-
-class Rollout(NamedTuple):
-    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or truncated, not both."""
-
-    obs: np.ndarray  # (T, N, D)
-    privileged: np.ndarray  # (T, N, P)
-    action: np.ndarray  # (T, N, A)
-    reward: np.ndarray  # (T, N, K): task reward r and cost lam f, both times reward_scale
-    terminated: np.ndarray  # (T, N)
-    truncated: np.ndarray  # (T, N)
-    final_value: np.ndarray  # (T, N, K) the critic's value of the final observation where truncated, else 0
-    next_obs: np.ndarray  # (N, D) after the last step
-    next_privileged: np.ndarray  # (N, P)
-
-
-class Estimate(NamedTuple):
-    """What lines 8 and 10 estimate from a rollout."""
-
-    advantage: jax.Array  # (T, N, K) never normalised
-    target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
-    log_prob: jax.Array  # (T, N)
 
 
 class Dual(NamedTuple):
@@ -107,7 +86,131 @@ class State(NamedTuple):
     at_prime: tuple | None  # None for PPO
 
 
-# ---- L3: learners ----
+class Rollout(NamedTuple):
+    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or truncated, not both."""
+
+    obs: np.ndarray  # (T, N, D)
+    privileged: np.ndarray  # (T, N, P)
+    action: np.ndarray  # (T, N, A)
+    reward: np.ndarray  # (T, N, K): task reward r and cost lam f, both times reward_scale
+    terminated: np.ndarray  # (T, N)
+    truncated: np.ndarray  # (T, N)
+    after: tuple  # obs (N, D), privileged (N, P) after the last step
+    final: tuple  # obs (M, D), privileged (M, P) that truncated episodes ended with, in their order, then padding
+
+
+class Estimate(NamedTuple):
+    """What lines 8 and 10 estimate from a rollout."""
+
+    advantage: jax.Array  # (T, N, K) never normalised
+    target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
+    log_prob: jax.Array  # (T, N)
+
+
+# ---- Algorithm 1 ----
+
+
+def eipo(env, env_prime, cfg, state=None, line_13=None):
+    """Algorithm 1, as a generator: yields the State after every iteration, and a dict of metrics.
+
+    env, env_prime: environments of pi and of pi_prime
+    state:          where to go on, with its environments as they were then; None is a new start
+    line_13:        what to do there instead of `step_alpha`, for experiments
+    The tags are the paper's line numbers.
+    """
+    # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
+    # Alg.1 L2   Output: policy pi, in every State that is yielded
+    state = state or init_state(env, env_prime, cfg)
+    pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
+    dual = state.dual  # Alg.1 L4
+    at, at_prime = state.at, state.at_prime
+    for iteration in range(state.iteration + 1, cfg.iterations + 1):  # Alg.1 L5
+        key, key_prime, key_update, key_update_prime = iteration_keys(cfg, iteration)
+        tau, at, log = rollout(env, pi.params, at, key, cfg)  # Alg.1 L6
+        tau_prime, at_prime, log_prime = rollout(env_prime, pi_prime.params, at_prime, key_prime, cfg)  # Alg.1 L7
+
+        est = estimate(pi.params, tau, cfg)
+        objective = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
+        pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)  # Alg.1 L9
+
+        est_prime = estimate(pi_prime.params, tau_prime, cfg)  # Alg.1 L10
+        task = est_prime.advantage[..., 0]
+        pi_prime, trained_prime = ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)  # Alg.1 L11
+
+        gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
+        metrics = summary(iteration, est, dual, cfg) | dict(gap=gap) | log | trained
+        metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
+        dual = (line_13 or step_alpha)(dual, gap, cfg)  # Alg.1 L13
+        yield State(iteration, pi, pi_prime, dual, at, at_prime), metrics
+    # Alg.1 L14  end for
+
+
+def ppo(env, cfg, state=None):
+    """PPO on Eq. (2), the paper's baseline: what is left of Algorithm 1 without pi_prime. Arguments as of `eipo`."""
+    state = state or init_state(env, None, cfg)
+    pi, dual, at = state.pi, state.dual, state.at
+    for iteration in range(state.iteration + 1, cfg.iterations + 1):
+        key, _, key_update, _ = iteration_keys(cfg, iteration)
+        tau, at, log = rollout(env, pi.params, at, key, cfg)
+        est = estimate(pi.params, tau, cfg)
+        objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
+        pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
+        yield State(iteration, pi, None, dual, at, None), summary(iteration, est, dual, cfg) | log | trained
+
+
+def iteration_keys(cfg, iteration):
+    """Four random keys for an iteration: rollouts of pi and of pi_prime, updates of pi and of pi_prime."""
+    return jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), iteration), 4)
+
+
+def summary(iteration, est, dual, cfg):
+    """Metrics of an iteration: environment steps so far, J(pi), alpha, and the task's share of the objective.
+
+    task_share: std(alpha lam A_r) / (std(alpha lam A_r) + std(A_f)). Near 1, alpha no longer matters.
+    """
+    task, cost = est.advantage.std((0, 1)) * np.array([dual.alpha * cfg.lam if cfg.lam else 1.0, float(cfg.lam > 0)])
+    steps = iteration * cfg.num_steps * cfg.num_envs
+    return dict(steps=steps, J=estimate_J(est), alpha=dual.alpha, task_share=task / (task + cost + 1e-30))
+
+
+# ---- L3, L4: the start ----
+
+
+def init_state(env, env_prime, cfg):
+    """The State before the first iteration: random policies, alpha_0, reset environments. PPO's env_prime is None."""
+    key, key_prime = jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), 0))
+    sizes = env.obs_size, env.privileged_size, env.action_size
+    alpha = cfg.alpha0 if cfg.alpha0 is not None else 1 / cfg.lam if cfg.lam else np.inf
+    pi_prime = at_prime = None
+    if env_prime is not None:
+        pi_prime, at_prime = init_learner(key_prime, sizes, 1, cfg), start(env_prime, 2 * cfg.seed + 1)
+    return State(0, init_learner(key, sizes, 2, cfg), pi_prime, Dual(alpha, 0.0), start(env, 2 * cfg.seed), at_prime)
+
+
+def start(env, seed):
+    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment."""
+    obs, info = env.reset(seed)
+    return obs, info["privileged"]
+
+
+@partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
+def init_learner(key, sizes, heads, cfg):
+    """A new Learner.
+
+    sizes: widths of obs, privileged and action: pairs of even and odd coordinates, as `networks.EvenOdd` has them
+    heads: K, 2 for pi (task, cost), 1 for pi_prime
+    """
+    obs, privileged, action = sizes
+    both = obs[0] + privileged[0], obs[1] + privileged[1]
+    hidden, hidden_estimator = ([(n - n // 2 * (obs[1] > 0), n // 2 * (obs[1] > 0)) for n in widths]
+                                for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
+    k_actor, k_critic, k_estimator = jax.random.split(key, 3)
+    actor = init_mlp(k_actor, (both, *hidden, action))
+    critic = init_mlp(k_critic, (both, *hidden, (heads, 0)))
+    estimator = init_mlp(k_estimator, (obs, *hidden_estimator, privileged))
+    log_std = jnp.full(action[0], cfg.log_std, jnp.float32)
+    params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
+    return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
 
 
 def optimizer(cfg):
@@ -115,19 +218,6 @@ def optimizer(cfg):
     clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
     direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam(b1=0.9, b2=0.999))
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
-
-
-@partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
-def init_learner(key, sizes, heads, cfg):
-    """A new Learner. sizes: widths of obs, privileged and action; heads: K, 2 for pi (task, cost), 1 for pi_prime."""
-    obs, privileged, action = sizes
-    k_actor, k_critic, k_estimator = jax.random.split(key, 3)
-    actor = init_mlp(k_actor, (obs + privileged, *cfg.hidden, action))
-    critic = init_mlp(k_critic, (obs + privileged, *cfg.hidden, heads))
-    estimator = init_mlp(k_estimator, (obs, *cfg.hidden_estimator, privileged))
-    log_std = jnp.full(action, cfg.log_std, jnp.float32)
-    params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
-    return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
 
 
 # ---- L6, L7: rollouts ----
@@ -146,26 +236,41 @@ def rollout(env, params, at, key, cfg):
     at: (obs, privileged) of the N environments now
     returns Rollout, the new `at`, and the log: means of the environment's float columns, counts of its boolean ones
     """
-    heads = params["critic"][-1][1].shape[0]
-    steps, logs = [], []
+    heads = len(params["critic"][-1].bias)
+    steps, finals, logs = [], [], []
     for t in range(cfg.num_steps):
-        obs, privileged = at
-        action = np.asarray(act(params, obs, key, t))
-        next_obs, reward, terminated, truncated, info = env.step(action)
+        action = np.asarray(act(params, at[0], key, t))
+        obs, reward, terminated, truncated, info = env.step(action)
         streams = cfg.reward_scale * np.stack([reward, cfg.lam * info["cost"]], -1)[:, :heads]
-        final_value = np.zeros(streams.shape, np.float32)
-        if truncated.any():  # a time limit is not the end of the world: bootstrap from the final observation
-            final = value(params, info["final_obs"], info["final_privileged"].astype(np.float32))
-            final_value = np.where(truncated[:, None], final, final_value)
-        steps.append((obs, privileged, action, streams.astype(np.float32), terminated, truncated, final_value))
+        steps.append((*at, action, streams.astype(np.float32), terminated, truncated))
+        finals.append((info["final_obs"][truncated], info["final_privileged"][truncated]))
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
-        at = next_obs, info["privileged"].astype(np.float32)
-    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), *at)
+        at = obs, info["privileged"]
+    final = [np.concatenate(column) for column in zip(*finals, strict=True)]
+    padding = -len(final[0]) % len(obs)  # to whole multiples of N: the shapes that JAX compiles for are few
+    final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
+    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), at, final)
     columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
     return tau, at, {name: float(c.sum() if c.dtype == bool else c.mean()) for name, c in columns.items()}
 
 
 # ---- L8, L10, L12: estimates ----
+
+
+@partial(jax.jit, static_argnames="cfg")
+def estimate(params, tau, cfg):
+    """Advantages and returns of a rollout, each stream by itself: GAE is linear, so mixing can wait (L8, L10)."""
+    values = value(params, tau.obs, tau.privileged)
+    next_values = jnp.concatenate([values[1:], value(params, *tau.after)[None]])
+    terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
+    if len(
+        tau.final[0]
+    ):  # a time limit is not the end of the world: the k-th bootstraps from the k-th final observation
+        k = jnp.cumsum(tau.truncated).reshape(tau.truncated.shape) - 1
+        next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
+    advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
+    mean, std, _ = policy(params, tau.obs)
+    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
@@ -184,18 +289,6 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
         return advantage, advantage
 
     return jax.lax.scan(backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True)[1]
-
-
-@partial(jax.jit, static_argnames="cfg")
-def estimate(params, tau, cfg):
-    """Advantages and returns of a rollout, each stream by itself: GAE is linear, so mixing can wait (L8, L10)."""
-    values = value(params, tau.obs, tau.privileged)
-    after = value(params, tau.next_obs, tau.next_privileged)
-    terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
-    next_values = jnp.where(truncated, tau.final_value, jnp.concatenate([values[1:], after[None]]))
-    advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
-    mean, std, _ = policy(params, tau.obs)
-    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
 
 
 def mix(advantage, alpha, lam):
@@ -218,38 +311,11 @@ def estimate_J(estimate):
 # ---- L9, L11: the PPO update ----
 
 
-def clipped_surrogate(ratio, advantage, clip_eps):
-    """PPO's objective (...,): min(ratio A, clip(ratio, 1 - eps, 1 + eps) A)."""
-    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip_eps, 1 + clip_eps) * advantage)
-
-
-def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. The three networks share no parameters, so the sum trains each alone."""
-    mean, std, velocity = policy(params, batch["obs"])
-    log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
-    ratio = jnp.exp(log_ratio)
-    surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
-    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
-    estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
-    loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
-    kl = (ratio - 1 - log_ratio).mean()  # an estimate of KL(old, new) that is never negative
-    return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
-
-
-def adapt_lr(lr, kl, cfg):
-    """The lab's rule, once per iteration: a smaller step if the policy moved too far, a larger one if hardly at all."""
-    if cfg.target_kl == 0:
-        return lr
-    factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
-    return jnp.clip(lr * factor, *LR_RANGE)
-
-
-@partial(jax.jit, static_argnames="cfg", donate_argnames="learner")
+@partial(jax.jit, static_argnames="cfg")
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
     """All epochs and minibatches of one iteration. advantage: (T, N), mixed, not normalised yet.
 
-    returns the new Learner and the means of what ppo_loss logs. The old Learner's buffers are reused: do not touch it.
+    returns the new Learner and the means of what ppo_loss logs.
     """
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
@@ -272,6 +338,33 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 
+def ppo_loss(params, batch, cfg):
+    """Loss of a minibatch, and what to log. The three networks share no parameters, so the sum trains each alone."""
+    mean, std, velocity = policy(params, batch["obs"])
+    log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
+    ratio = jnp.exp(log_ratio)
+    surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
+    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
+    value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
+    estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
+    loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
+    kl = (ratio - 1 - log_ratio).mean()  # an estimate of KL(old, new) that is never negative
+    return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
+
+
+def clipped_surrogate(ratio, advantage, clip_eps):
+    """PPO's objective (...,): min(ratio A, clip(ratio, 1 - eps, 1 + eps) A)."""
+    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip_eps, 1 + clip_eps) * advantage)
+
+
+def adapt_lr(lr, kl, cfg):
+    """The lab's rule, once per iteration: a smaller step if the policy moved too far, a larger one if hardly at all."""
+    if cfg.target_kl == 0:
+        return lr
+    factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
+    return jnp.clip(lr * factor, *LR_RANGE)
+
+
 # ---- L13: the multiplier ----
 
 
@@ -288,53 +381,3 @@ def step_alpha(dual, gap, cfg):
     velocity = cfg.momentum_alpha * dual.velocity + (1 - cfg.dampening_alpha) * gradient
     alpha = dual.alpha + cfg.lr_alpha * velocity
     return Dual(alpha, velocity) if alpha > 0 else Dual(0.0, 0.0)
-
-
-# ---- Algorithm 1 ----
-
-
-def start(env, seed):
-    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment. None stays None."""
-    if env is None:
-        return None
-    obs, info = env.reset(seed)
-    return obs, info["privileged"].astype(np.float32)
-
-
-def eipo(env, env_prime, cfg, resume=None, step_alpha=step_alpha):
-    """Algorithm 1, as a generator: yields State and a dict of metrics, before the first and after every iteration.
-
-    env, env_prime: environments of pi and of pi_prime; PPO has no env_prime (None)
-    resume:         State to continue from (the caller restores the environments), None to start
-    step_alpha:     what line 13 does, replaceable by experiments
-    A State is valid until the generator is asked for the next one. The tags are the paper's line numbers.
-    """
-    # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
-    # Alg.1 L2   Output: policy pi, in every State that is yielded
-    both = cfg.algo == "eipo"
-    root, key, key_prime = jax.random.split(jax.random.key(cfg.seed), 3)
-    sizes = env.obs_size, env.privileged_size, env.action_size
-    pi = init_learner(key, sizes, 2, cfg)
-    pi_prime = init_learner(key_prime, sizes, 1, cfg) if both else None  # Alg.1 L3
-    dual = Dual(cfg.alpha0 or (1 / cfg.lam if cfg.lam else np.inf), 0.0)  # Alg.1 L4
-    state = resume or State(0, pi, pi_prime, dual, start(env, 2 * cfg.seed), start(env_prime, 2 * cfg.seed + 1))
-    yield state, {}
-    done, pi, pi_prime, dual, at, at_prime = state
-    for iteration in range(done + 1, cfg.iterations + 1):  # Alg.1 L5
-        keys = jax.random.split(jax.random.fold_in(root, iteration), 4)
-        tau, at, log = rollout(env, pi.params, at, keys[0], cfg)  # Alg.1 L6
-        if both:
-            tau_prime, at_prime, log_prime = rollout(env_prime, pi_prime.params, at_prime, keys[1], cfg)  # Alg.1 L7
-        est = estimate(pi.params, tau, cfg)  # Alg.1 L8
-        metrics = log | dict(J=estimate_J(est), alpha=dual.alpha)
-        pi, trained = ppo_update(pi, tau, est, mix(est.advantage, dual.alpha, cfg.lam), keys[2], cfg)  # Alg.1 L9
-        if both:
-            est_prime = estimate(pi_prime.params, tau_prime, cfg)  # Alg.1 L10
-            task = est_prime.advantage[..., 0]
-            pi_prime, trained_prime = ppo_update(pi_prime, tau_prime, est_prime, task, keys[3], cfg)  # Alg.1 L11, D1
-            gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-            dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
-            metrics |= dict(gap=gap) | {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
-        state = State(iteration, pi, pi_prime, dual, at, at_prime)
-        yield state, dict(steps=iteration * cfg.num_steps * cfg.num_envs) | metrics | trained
-    # Alg.1 L14  end for

@@ -16,6 +16,8 @@ MODEL = Path(__file__).with_name("go1.xml")
 LEGS = ("FR", "FL", "RR", "RL")
 Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, action 0 [lab code]
 LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02  # m: thigh and calf length, hip to thigh, sole [URDF]
+# Seen in a mirror: right and left legs swap, and a hip angle outwards on one side is inwards on the other (D28)
+MIRROR = np.kron(np.kron(np.eye(2), [[0, 1], [1, 0]]), np.diag([-1, 1, 1]))  # (12, 12)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
 HIP = np.array([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])  # m [URDF]
 KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, Section IV-C

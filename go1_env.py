@@ -28,6 +28,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 import curriculum
@@ -43,6 +44,8 @@ ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hip
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
 FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12, 2])
+# A frame seen in a mirror. The clock's is half a period later, which ties the two halves of a trot (D28)
+FRAME_MIRROR = block_diag(np.diag([1, -1, 1, 1, -1, -1]), go1.MIRROR, go1.MIRROR, go1.MIRROR, -np.eye(2))
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
@@ -62,6 +65,8 @@ class Go1Env:
         tasks.check(num_envs, env_cfg, threads)
         self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
+        obs_mirror = np.kron(np.eye(env_cfg.history), FRAME_MIRROR)
+        self.mirror = dict(obs=obs_mirror, privileged=np.diag([1, -1, 1]), action=go1.MIRROR)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
@@ -76,7 +81,6 @@ class Go1Env:
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17) of the ground with trunk, hips, thighs; calves; feet
-        self.forbidden = slice(13 if self.task.only_feet else 9)
         self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
@@ -109,7 +113,7 @@ class Go1Env:
         self.state.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
         power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.state.action)
         self.state.age += 1
-        linear, over_ground = self.body_velocity(), self.velocity_over_ground()
+        linear, over_ground = self.body_velocity(), self.tracked_velocity("heading")
         # MuJoCo resets what is not finite and counts a warning
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
         self.state.action[diverged] = 0.0  # it may be what was not finite
@@ -186,21 +190,20 @@ class Go1Env:
             self.ctrl[:] = go1.limit_torque(torque, qd, self.task.torque_speed or self.env_cfg.motor_model)
             torques.append(self.ctrl.copy())
             self.batch.step()
-            fell |= (self.contacts[:, self.forbidden] > 0).any(-1)
+            fell |= (self.contacts[:, : 13 if self.task.only_feet else 9] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
         torques, speeds = np.array(torques), np.array(speeds)
-        qdd = (speeds[-1] - speeds[0]) / self.period
         # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
         cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)
         power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
         if self.env_cfg.aux == "smooth":
+            qdd = (speeds[-1] - speeds[0]) / self.period
             cost = energy.smoothness_cost(torques, state.action, qdd).mean(0)
         return power, cost, fell
 
-    def _reward(self, velocity, action_before, qd_before):
+    def _reward(self, over_ground, action_before, qd_before):
         """The reward of a step (N,), and what it adds to the log; before: action and qd [rad/s] a control step ago."""
-        if self.env_cfg.frame == "body":  # D25
-            velocity = np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
+        velocity = over_ground if self.env_cfg.frame == "heading" else self.tracked_velocity(self.env_cfg.frame)
         reward, log = self.task.reward(velocity, self.state.command), {}
         if self.task.curriculum:
             self.state.tracked += np.column_stack(rewards.kernels(velocity, self.state.command))
@@ -217,10 +220,15 @@ class Go1Env:
 
     def body_velocity(self):
         """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
-        return self._to_world().apply(self.qvel[:, :3], inverse=True)
+        return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
-    def velocity_over_ground(self):
-        """v_x, v_y [m/s] and yaw rate [rad/s] in the horizontal frame that is turned with the robot's yaw, (N, 3)."""
+    def tracked_velocity(self, frame):
+        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3): in the trunk's frame, "body", or in the "heading" frame (D25).
+
+        That one is horizontal and turned with the robot's yaw, so its velocity is the velocity over ground.
+        """
+        if frame == "body":
+            return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
         to_world = self._to_world().as_matrix()
         yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
         (x, y), sin, cos = self.qvel[:, :2].T, np.sin(yaw), np.cos(yaw)
@@ -234,12 +242,8 @@ class Go1Env:
         """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""
         phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * self.state.age[ids]
         frame = np.column_stack([
-            self.felt_gravity(ids),
-            self.state.command[ids],
-            self.qpos[ids, 7:] - go1.Q_NOMINAL,  # q
-            self.qvel[ids, 6:],  # qd
-            self.state.action[ids],  # previous action
-            np.sin(phase), np.cos(phase),  # timing reference
+            self.felt_gravity(ids), self.state.command[ids], self.qpos[ids, 7:] - go1.Q_NOMINAL, self.qvel[ids, 6:],
+            self.state.action[ids], np.sin(phase), np.cos(phase),
         ])  # fmt: skip
         noise = self.env_cfg.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
         return FRAME_SCALE * (frame + noise)

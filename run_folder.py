@@ -33,6 +33,7 @@ import curriculum
 import eipo
 import go1
 import go1_env
+import networks
 import tasks
 
 
@@ -137,6 +138,8 @@ def load_checkpoint(path, template, envs):
 def save_policy(path, params, env_cfg):
     """policy.npz: what it takes to run the policy without JAX and without this project. README shows how.
 
+    params: of plain MLPs, as `networks.EvenOdd.dense` returns them
+
     estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
     actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
     log_std                (12,) of the noise in training; a deployed policy takes the mean
@@ -148,8 +151,8 @@ def save_policy(path, params, env_cfg):
     Joints: FR, FL, RR, RL x hip, thigh, calf.
     """
     layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
-    weights = {f"{net}.{i}.{name}": np.asarray(x) for net in layers for i, layer in enumerate(layers[net])
-               for name, x in zip("Wb", layer, strict=True)}  # fmt: skip
+    weights = {f"{net}.{i}.{name}": np.asarray(x, np.float32) for net in layers for i, layer in enumerate(layers[net])
+               for name, x in dict(W=layer.even, b=layer.bias).items()}  # fmt: skip
     units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
     arrays = weights | units | dict(config=json.dumps(asdict(env_cfg)))
@@ -162,7 +165,8 @@ def load_policy(path):
 
     def layers(net):
         indices = itertools.takewhile(lambda i: f"{net}.{i}.W" in arrays, itertools.count())
-        return [(arrays[f"{net}.{i}.W"], arrays[f"{net}.{i}.b"]) for i in indices]
+        no_odd = np.zeros((0, 0), np.float32)
+        return [networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices]
 
     try:
         params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))

@@ -18,6 +18,7 @@ from typing import get_args
 
 import eipo
 import go1_env
+import networks
 import run_folder
 import tasks
 
@@ -105,7 +106,7 @@ def check(cfg):
         if (field.type is int and x < (name != "seed")) or (field.type is tuple and min(x, default=1) < 1):
             raise ValueError(f"{name} is {x}: it must be at least {int(name != 'seed')}")
         low, high = eipo.LOG_STD_RANGE if name == "log_std" else (0.0, 1.0 if name in rates else 1e9)
-        if field.type is float and not low <= x <= high:
+        if field.type in (float, float | None) and x is not None and not low <= x <= high:
             raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
     if cfg.target_kl and not eipo.LR_RANGE[0] <= cfg.lr <= eipo.LR_RANGE[1]:
         raise ValueError(
@@ -113,7 +114,9 @@ def check(cfg):
         )
     if cfg.seed >= 2**31:
         raise ValueError(f"seed is {cfg.seed}: it must be less than 2**31")
-    if cfg.algo == "ppo" and cfg.alpha0:
+    if cfg.mirror and any(n % 2 for n in cfg.hidden + cfg.hidden_estimator):
+        raise ValueError("hidden layers of odd width have no left and right: give even ones, or --no-mirror")
+    if cfg.algo == "ppo" and cfg.alpha0 is not None:
         raise ValueError(f"alpha0 is {cfg.alpha0}: PPO's alpha is 1 / lam, so give --lam instead")
     if cfg.algo == "eipo" and cfg.lam == 0:
         raise ValueError("EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo")
@@ -150,33 +153,33 @@ def prepare(options, given_env, given_learner):
     return folder, env_cfg, cfg
 
 
-def save(folder, state, envs):
-    """A checkpoint, and what a reader of the run folder wants to see beside it."""
+def save(folder, state, envs, params):
+    """A checkpoint, and what a reader of the run folder wants to see beside it; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
-    run_folder.save_policy(folder / "policy.npz", state.pi.params, envs[0].env_cfg)
+    run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
     run_folder.draw_curves(folder)
     if envs[0].task.curriculum:
         run_folder.draw_commands(folder, envs[0].state.weights)
 
 
-def train(folder, env_config, config, options, argv, asked):
+def train(folder, env_cfg, cfg, options, argv, asked):
     """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
-    policies = 2 if config.algo == "eipo" else 1
-    envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
-    env, env_prime = (*envs, None)[:2]
-    if env_prime is not None:
-        env_prime.state.weights = env.state.weights  # one curriculum, or J(pi) and J(pi') would be of other commands
-    first, _ = next(eipo.eipo(env, env_prime, config))  # a fresh State, also the template of a saved one
+    policies = 2 if cfg.algo == "eipo" else 1
+    envs = [go1_env.Go1Env(cfg.num_envs // policies, env_cfg, options.threads) for _ in range(policies)]
+    if policies == 2:
+        envs[1].state.weights = envs[0].state.weights  # one curriculum, or J(pi), J(pi') would be of other commands
+    env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
+    state = eipo.init_state(env, env_prime, cfg)  # also the template of a saved one
     if options.resume:
-        first = run_folder.load_checkpoint(folder / "checkpoint.npz", first, envs)
-    log = run_folder.Log(folder, first.iteration, config.iterations)
-    run_folder.save_config(folder, env_config, config, argv, options.resume)
-    print(f"{folder}: {config.algo} on {env_config.task}, {config.num_envs} environments. Compiling (once, ~15 s) ...")
-    for state, metrics in eipo.eipo(env, env_prime, config, resume=first):
-        if metrics:
-            log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
-        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == config.iterations:
-            save(folder, state, envs)
+        state = run_folder.load_checkpoint(folder / "checkpoint.npz", state, envs)
+    log = run_folder.Log(folder, state.iteration, cfg.iterations)
+    run_folder.save_config(folder, env_cfg, cfg, argv, options.resume)
+    print(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
+    run = eipo.eipo(env, env_prime, cfg, state) if policies == 2 else eipo.ppo(env, cfg, state)
+    for state, metrics in run:
+        log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
+        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
+            save(folder, state, envs, env.dense(state.pi.params))
         if asked:
             break
     return state.iteration

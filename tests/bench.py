@@ -24,6 +24,7 @@ import numpy as np
 
 import eipo
 import go1_env
+import networks
 import tasks
 
 ROUNDS, STEPS = 7, 25  # how often something is measured; steps of an environment each time
@@ -69,8 +70,9 @@ def bench_iteration(args, warm_up=2):
     for algo, policies in (("ppo", 1), ("eipo", 2)):
         envs = [go1_env.Go1Env(args.num_envs // policies, tasks.task_config(args.task)) for _ in range(policies)]
         cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
-        run = eipo.eipo(*(*envs, None)[:2], cfg)
-        state, _ = [next(run) for _ in range(1 + warm_up)][-1]  # compiled by now
+        seen = [networks.EvenOdd(env, args.mirror) for env in envs]
+        run = eipo.eipo(*seen, cfg) if policies == 2 else eipo.ppo(*seen, cfg)
+        state, _ = [next(run) for _ in range(warm_up)][-1]  # compiled by now
         forward = sum(2 * w.size for w in jax.tree.leaves(state.pi.params) if w.ndim == 2)  # FLOP of one sample
         places = dict(policy=(eipo, "act"), rollout=(eipo, "rollout"), update=(eipo, "ppo_update"))
         places |= {f"physics{i}": (env.batch, "step") for i, env in enumerate(envs)}
@@ -95,6 +97,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--task", choices=tasks.TASKS, default="flat")
+    parser.add_argument("--mirror", action=argparse.BooleanOptionalAction, default=True, help="tied networks (D28)")
     parser.add_argument("--num-envs", type=int, default=256)
     args = parser.parse_args()
     for part in [args.only] if args.only else PARTS:

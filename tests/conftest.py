@@ -1,4 +1,4 @@
-"""Foot-guns turned into errors, and one compilation cache for all tests and the processes that they start."""
+"""One compilation cache for all tests and the processes that they start."""
 
 import os
 import tempfile
@@ -7,7 +7,3 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(tempfile.gettempdir(), "eipo-test-jax-cache")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "0"
-
-import jax
-
-jax.config.update("jax_numpy_rank_promotion", "raise")  # a forgotten axis raises instead of broadcasting

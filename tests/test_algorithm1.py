@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_eipo import CONFIG
+from test_eipo import CONFIG, plain
 
 import eipo
 import networks
@@ -30,7 +30,7 @@ class Probe:
     final observation of such an episode shows x and length - 1. `diary` holds what was seen and done, `seeds` resets.
     """
 
-    num_envs, obs_size, privileged_size, action_size = 16, 2, 1, 1
+    num_envs, obs_size, privileged_size, action_size = 16, (2, 0), (1, 0), (1, 0)
 
     def __init__(self, reward, cost=lambda x, t, a: 0 * x, length=1, truncates=False):
         self.reward, self.cost, self.length, self.truncates = reward, cost, length, truncates
@@ -44,7 +44,7 @@ class Probe:
         return obs, dict(privileged=privileged)
 
     def look(self):
-        return np.stack([self.x, self.t], -1).astype(np.float32), (self.x + self.t)[:, None]
+        return np.stack([self.x, self.t], -1).astype(np.float32), (self.x + self.t)[:, None].astype(np.float32)
 
     def step(self, action):
         self.diary.append((self.look()[0], action))
@@ -73,10 +73,11 @@ def effort(x, t, a):
     return a**2
 
 
-def run(env, env_prime, cfg, iterations, **options):
-    """[(State, metrics)] before the first and after every iteration, copied: the learner reuses its buffers."""
-    steps = islice(eipo.eipo(env, env_prime, cfg, **options), iterations + 1)
-    return [(jax.tree.map(np.array, state), metrics) for state, metrics in steps]
+def run(env, env_prime, cfg, iterations, state=None, **options):
+    """[(State, metrics)] before the first and after every iteration. Without env_prime it is PPO."""
+    state = state or eipo.init_state(env, env_prime, cfg)
+    steps = eipo.eipo(env, env_prime, cfg, state, **options) if env_prime else eipo.ppo(env, cfg, state)
+    return [(state, {}), *islice(steps, iterations)]
 
 
 def trees_equal(a, b):
@@ -91,29 +92,64 @@ def known(heads):
 
     3 t = -x + 2 t + (x + t), of which x + t is privileged.
     """
-    actor = dict(layers=[(jnp.zeros((3, 1)), jnp.zeros(1))], log_std=jnp.zeros(1))
-    critic = jnp.array([[-1.0, -2.0], [2.0, 4.0], [1.0, 2.0]])[:, :heads]
-    return dict(actor=actor, critic=[(critic, jnp.zeros(heads))], estimator=[(jnp.zeros((2, 1)), jnp.zeros(1))])
+    actor = dict(layers=[plain(jnp.zeros((3, 1)), jnp.zeros(1))], log_std=jnp.zeros(1))
+    critic = [plain(jnp.array([[-1.0, -2.0], [2.0, 4.0], [1.0, 2.0]])[:, :heads], jnp.zeros(heads))]
+    return dict(actor=actor, critic=critic, estimator=[plain(jnp.zeros((2, 1)), jnp.zeros(1))])
 
 
 def roll(env, heads, cfg):
     return eipo.rollout(env, known(heads), eipo.start(env, 0), jax.random.key(0), cfg)
 
 
-def test_rollout_final_value_is_of_the_final_observation():
-    """Two-step episodes, cut by a time limit where t = 1: V = (3, 6). The reset observation has t = 0: V = (0, 0)."""
-    tau, at, log = roll(Probe(one, length=2, truncates=True), 2, replace(EIPO, num_steps=3))
+def test_rollout_bootstraps_from_the_final_observation():
+    """Two-step episodes, cut by a time limit at t = 1, their final observations being (x, 1). gamma = 1/2, r = 0.
+
+    V = (3 t, 6 t). The one-step errors, with gae_lambda = 0, of the three steps, and where they lead:
+    t = 0: 0 + 3/2 - 0 = 3/2     to t = 1
+    t = 1: 0 + 3/2 - 3 = -3/2    to the final observation; the first one of the next episode would give -3
+    t = 0: 0 + 3/2 - 0 = 3/2     the rollout ends, at t = 1
+    """
+    cfg = replace(EIPO, num_steps=3, gae_lambda=0.0)
+    tau, at, log = roll(Probe(lambda x, t, a: 0 * x, length=2, truncates=True), 2, cfg)
     assert tau.truncated.all(1).tolist() == [False, True, False] and not tau.terminated.any()
-    assert (tau.final_value == np.array([[0, 0], [3, 6], [0, 0]])[:, None]).all()
-    assert tau.obs[:, 0, 1].tolist() == [0, 1, 0] and tau.next_obs[0, 1] == 1
-    assert trees_equal(at, (tau.next_obs, tau.next_privileged))
-    assert log["ended"] == 16 and log["reward"] == 1
+    advantage = eipo.estimate(known(2), tau, cfg).advantage
+    assert (np.asarray(advantage) == np.array([[1.5, 3], [-1.5, -3], [1.5, 3]])[:, None]).all()
+    assert tau.obs[:, 0, 1].tolist() == [0, 1, 0] and tau.after[0][0, 1] == 1
+    assert trees_equal(at, tau.after)
+    assert log["ended"] == 16 and log["reward"] == 0
 
 
-def test_rollout_a_fall_has_no_final_value():
+def test_rollout_each_truncation_has_its_own_final_observation():
+    """Robots are cut at different times: V(final) = obs, which says who was cut when (100 t + robot)."""
+
+    class Cut(Probe):
+        num_envs, cuts = 3, {1: [2], 2: [0, 1]}  # step: robots
+
+        def step(self, action):
+            obs, reward, _, _, info = super().step(action)
+            step = len(self.diary) - 1
+            truncated = np.isin(np.arange(3), self.cuts.get(step, []))
+            final = np.column_stack([100.0 * step + np.arange(3), np.zeros(3)]).astype(np.float32)
+            return (
+                0 * obs,
+                reward,
+                np.zeros(3, bool),
+                truncated,
+                info | dict(final_obs=final, privileged=0 * obs[:, :1]),
+            )
+
+    cfg = replace(EIPO, num_steps=3, gae_lambda=0.0, gamma=1.0)
+    params = known(1) | dict(critic=[plain(jnp.array([[1.0], [0.0], [0.0]]), jnp.zeros(1))])
+    env = Cut(lambda x, t, a: np.zeros(3))
+    tau, _, _ = eipo.rollout(env, params, eipo.start(env, 0), jax.random.key(0), cfg)
+    bootstrapped = eipo.estimate(params, tau, cfg).target[..., 0]
+    assert bootstrapped.tolist() == [[0, 0, 0], [0, 0, 102], [200, 201, 0]]
+
+
+def test_rollout_a_fall_has_no_final_observation():
     tau, _, _ = roll(Probe(one, length=2), 2, replace(EIPO, num_steps=3))
     assert tau.terminated.all(1).tolist() == [False, True, False] and not tau.truncated.any()
-    assert not tau.final_value.any()
+    assert tau.final[0].shape == (0, 2)
 
 
 def test_rollout_streams_are_of_comparable_size():
@@ -169,7 +205,7 @@ def test_algorithm1_other_seed_other_start(monkeypatch):
     keys, envs = [], []
     for seed in (0, 1):
         env, env_prime = Probe(one), Probe(one)
-        state, _ = next(eipo.eipo(env, env_prime, replace(EIPO, seed=seed)))
+        state = eipo.init_state(env, env_prime, replace(EIPO, seed=seed))
         keys += [state.pi, state.pi_prime]
         envs += env.seeds + env_prime.seeds
     assert len(set(keys)) == len(set(envs)) == len(envs) == 4
@@ -212,8 +248,7 @@ def test_algorithm1_eipo_starts_as_ppo(with_effort):
 def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
     """1 / lam = 4, unless alpha0 says otherwise; no energy term is an infinite alpha."""
     monkeypatch.setattr(eipo, "init_learner", lambda *_: None)
-    state, _ = next(eipo.eipo(Probe(one), Probe(one), replace(EIPO, **changes)))
-    assert state.dual == Dual(alpha, 0)
+    assert eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual == Dual(alpha, 0)
 
 
 def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
@@ -224,12 +259,12 @@ def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
         gaps.append(gap)
         return Dual(64.0, 7.0)
 
-    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x), EIPO, 2, step_alpha=jump)
+    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x), EIPO, 2, line_13=jump)
     assert gaps == [metrics["gap"] for _, metrics in states[1:]]
     assert gaps[0] < -0.5
     assert [state.dual for state, _ in states] == [Dual(0.25, 0), Dual(64, 7), Dual(64, 7)]
     assert [metrics["alpha"] for _, metrics in states[1:]] == [0.25, 64]
-    jumped = run(Probe(near_half, effort), Probe(near_half, effort), EIPO, 2, step_alpha=jump)
+    jumped = run(Probe(near_half, effort), Probe(near_half, effort), EIPO, 2, line_13=jump)
     assert trees_equal(jumped[1][0].pi, with_effort[0][1][0].pi)
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
 
@@ -246,7 +281,7 @@ def test_algorithm1_resumes_with_the_same_bits(with_effort):
     states, _, _ = with_effort
     envs = Probe(near_half, effort), Probe(near_half, effort)
     first, _ = run(*envs, EIPO, 1)[1]
-    resumed = run(*envs, EIPO, 1, resume=first)
+    resumed = run(*envs, EIPO, 1, first)
     assert trees_equal(resumed[0][0], first)
     assert trees_equal(resumed[1], states[2])
     assert [env.seeds for env in envs] == [[0], [1]]
@@ -319,8 +354,7 @@ def test_algorithm1_toy_alpha_grows_without_bound_where_the_task_has_no_kink():
 
 def learn(env, iterations, env_prime=None, cfg=PPO):
     """The State after so many iterations."""
-    *_, (state, _) = islice(eipo.eipo(env, env_prime, cfg), iterations + 1)
-    return state
+    return run(env, env_prime, cfg, iterations)[-1][0]
 
 
 def at(t):

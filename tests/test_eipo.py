@@ -17,12 +17,13 @@ import eipo
 import networks
 import train
 from eipo import Config, Dual, Estimate, Rollout
+from networks import Layer
 
 # gamma = gae_lambda = 1/2. The settings of test_algorithm1.py's PPO: JAX compiles once for both files
 CONFIG = Config(
     algo="ppo", lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0,
     gamma=0.5, gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0,
-    momentum_alpha=0.9, clip_alpha=1.0, dampening_alpha=0.0, alpha0=0.0, log_std=0.0, hidden=(32,),
+    momentum_alpha=0.9, clip_alpha=1.0, dampening_alpha=0.0, log_std=0.0, hidden=(32,),
     hidden_estimator=(8,),
 )  # fmt: skip
 PAPER = replace(CONFIG, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
@@ -139,31 +140,36 @@ def test_gae_is_linear():
     assert np.array_equal(8 * of(r) - of(f), of(8 * r - f))
 
 
+def plain(weights, bias):
+    """A layer without odd coordinates: that of a plain MLP."""
+    return Layer(weights, jnp.zeros((0, 0)), bias)
+
+
 def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
     """Networks without hidden layers and biases, for widths (1, 1, 1): the weights of their inputs, one row each."""
     actor, critic, estimator = (
-        [(jnp.array(weights), jnp.zeros(len(weights[0])))] for weights in (actor, critic, estimator)
+        [plain(jnp.array(weights), jnp.zeros(len(weights[0])))] for weights in (actor, critic, estimator)
     )
     return dict(actor=dict(layers=actor, log_std=jnp.zeros(1)), critic=critic, estimator=estimator)
 
 
-def rollout_of(obs, reward, terminated, truncated, final_value, next_obs):
-    """A rollout of one environment: lists of T numbers, one of K streams."""
-    column = [np.reshape(np.float32(x), (-1, 1, 1)) for x in (obs, np.zeros(len(obs)), reward, final_value)]
+def rollout_of(obs, reward, terminated, truncated, final_obs, after):
+    """A rollout of one environment: lists of T numbers, one of K streams; final_obs where truncated, in order."""
+    obs, zero, reward = (np.reshape(np.float32(x), (-1, 1, 1)) for x in (obs, np.zeros(len(obs)), reward))
     terminated, truncated = np.reshape(terminated, (-1, 1)), np.reshape(truncated, (-1, 1))
-    after = np.full((1, 1), next_obs, np.float32)
-    return Rollout(column[0], column[1], column[1], column[2], terminated, truncated, column[3], after, 0 * after)
+    after, final = (np.reshape(np.float32(x), (-1, 1)) for x in (after, final_obs))
+    return Rollout(obs, zero, zero, reward, terminated, truncated, (after, 0 * after), (final, 0 * final))
 
 
 def test_gae_bootstraps_from_the_final_observation():
     """The critic says V(obs) = obs. Observations 1, 1 | 64 (a new episode, after a time limit), then 5.
 
-    t = 2: 1 + 5/2 - 64 = -60.5     the end of the rollout is no end of the episode: V(next_obs) = 5
+    t = 2: 1 + 5/2 - 64 = -60.5     the end of the rollout is no end of the episode: V(after) = 5
     t = 1: 1 + 3/2 - 1 = 1.5        V(final_obs) = 3, not the 64 of the reset observation
     t = 0: 1 + 1/2 - 1 + 1.5/4 = 0.875
     Targets add V: 1.875, 2.5, 3.5. J is their mean, 7.875 / 3 = 2.625.
     """
-    tau = rollout_of([1, 1, 64], [1, 1, 1], [False] * 3, [False, True, False], [0, 3, 0], next_obs=5)
+    tau = rollout_of([1, 1, 64], [1, 1, 1], [False] * 3, [False, True, False], [3], after=5)
     estimate = eipo.estimate(handmade(), tau, CONFIG)
     assert estimate.advantage.ravel().tolist() == [0.875, 1.5, -60.5]
     assert estimate.target.ravel().tolist() == [1.875, 2.5, 3.5]
@@ -172,7 +178,7 @@ def test_gae_bootstraps_from_the_final_observation():
 
 def test_gae_ends_where_an_episode_terminated():
     """Fallen at t = 1 and at the last step: only the reward counts there. 1 - 1 = 0, 1 - 64 = -63; t = 0: 1/2 + 0/4."""
-    tau = rollout_of([1, 1, 64], [1, 1, 1], [False, True, True], [False] * 3, [0, 0, 0], next_obs=5)
+    tau = rollout_of([1, 1, 64], [1, 1, 1], [False, True, True], [False] * 3, [], after=5)
     assert eipo.estimate(handmade(), tau, CONFIG).advantage.ravel().tolist() == [0.5, 0, -63]
 
 
@@ -182,7 +188,7 @@ def test_estimate_J_is_not_of_normalised_advantages():
     Their normalised advantages are the same (-1, 1, -1, 1), of mean 0: alpha could never tell them apart.
     """
     blind = handmade(critic=((0.0,), (0.0,)))
-    ends = dict(obs=[0] * 4, terminated=[True] * 4, truncated=[False] * 4, final_value=[0] * 4, next_obs=0)
+    ends = dict(obs=[0] * 4, terminated=[True] * 4, truncated=[False] * 4, final_obs=[], after=0)
     low, high = (
         eipo.estimate(blind, rollout_of(reward=reward, **ends), CONFIG) for reward in ([0, 2, 0, 2], [2, 4, 2, 4])
     )
@@ -204,19 +210,22 @@ def test_estimate_J_is_the_task_alone():
 
 def test_networks_elu_between_the_layers_only():
     """One unit: ELU(2) = 2, ELU(-1) = 1/e - 1; a lone layer stays linear: 3 (-1) + 1 = -2."""
-    unit = (jnp.ones((1, 1)), jnp.zeros(1))
-    hidden = networks.mlp([unit, unit], jnp.array([[2.0], [-1.0]]))
+    unit, none = plain(jnp.ones((1, 1)), jnp.zeros(1)), jnp.zeros((2, 0))
+    hidden, _ = networks.mlp([unit, unit], jnp.array([[2.0], [-1.0]]), none)
     assert hidden.ravel().tolist() == pytest.approx([2, -0.63212056])
-    assert networks.mlp([(3 * unit[0], unit[1] + 1)], jnp.array([-1.0])).tolist() == [-2]
+    assert networks.mlp([plain(3 * unit.even, unit.bias + 1)], jnp.array([-1.0]), none[0])[0].tolist() == [-2]
 
 
 def test_networks_init_range():
-    """Uniform in +- 1 / sqrt(fan-in): 16 inputs, +- 1/4. 17 * 64 draws come within 1 % of both ends."""
-    (w, b), last = networks.init_mlp(KEY, (16, 64, 4))
-    both = np.concatenate([w, b[None]])
-    assert (w.shape, b.shape, last[0].shape, last[1].shape) == ((16, 64), (64,), (64, 4), (4,))
-    assert -0.25 <= both.min() < -0.2475 and 0.2475 < both.max() <= 0.25 and abs(both.mean()) < 0.02
-    assert abs(last[0]).max() <= 0.125
+    """Uniform in +- 1 / sqrt(fan-in), which a product has for itself: 16 even inputs, +- 1/4; 4 odd ones, +- 1/2.
+
+    17 * 64 and 4 * 256 draws come within 1 % of both ends.
+    """
+    first, last = networks.init_mlp(KEY, [(16, 4), (64, 256), (4, 0)])
+    assert [x.shape for x in (*first, *last)] == [(16, 64), (4, 256), (64,), (64, 4), (256, 0), (4,)]
+    for x, end in ((np.concatenate([first.even, first.bias[None]]), 0.25), (first.odd, 0.5)):
+        assert -end <= x.min() < -0.99 * end and 0.99 * end < x.max() <= end and abs(x.mean()) < 0.08 * end
+    assert abs(last.even).max() <= 0.125
 
 
 def test_networks_who_sees_what():
@@ -272,12 +281,14 @@ def ppo(**changes):
     """One ppo_update of a new learner, always the same but for `changes`. returns params, log, params before."""
     rng = np.random.default_rng(2)
     cfg = changes.get("cfg", CONFIG)
-    learner = eipo.init_learner(KEY, (2, 1, 1), 2, CONFIG)
+    learner = eipo.init_learner(KEY, ((2, 0), (1, 0), (1, 0)), 2, CONFIG)
     learner = learner._replace(lr=jnp.float32(changes.get("lr", cfg.lr)))
     learner.params["actor"]["log_std"] += changes.get("log_std", 0.0)
     obs, privileged, action, target = (dyadic(rng, 8, 16, width) for width in (2, 1, 1, 2))
     never = np.zeros((8, 16), bool)
-    tau = Rollout(obs, privileged, action, target, never, never, target, obs[0], privileged[0])
+    tau = Rollout(
+        obs, privileged, action, target, never, never, (obs[0], privileged[0]), (obs[0, :0], privileged[0, :0])
+    )
     estimate = eipo.estimate(learner.params, tau, CONFIG)._replace(target=changes.get("target", target))
     advantage = changes.get("advantage", dyadic(rng, 8, 16))
     before = jax.tree.map(np.array, learner.params)
@@ -451,7 +462,7 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
         dict(gamma=1.5), dict(momentum_alpha=2.0), dict(target_kl=-1.0), dict(lr=0.01), dict(clip_eps=-0.2),
         dict(lr_alpha=-1.0), dict(alpha0=-1.0), dict(lam=0.0), dict(num_envs=3), dict(num_envs=0), dict(num_steps=0),
         dict(num_epochs=0), dict(iterations=0), dict(seed=-1), dict(hidden=(8, 0)), dict(hidden_estimator=(-1,)),
-        dict(num_envs=2, num_steps=1, num_minibatches=2),
+        dict(num_envs=2, num_steps=1, num_minibatches=2), dict(hidden=(8, 3)),
     ],
     ids=str,
 )  # fmt: skip

@@ -34,7 +34,7 @@ def make_run(folder, task, algo="eipo", lam=0.005, seed=0):
     """What training leaves for evaluate.py to read, without training."""
     env_cfg = tasks.task_config(task, history=2, tiles=2)
     cfg = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, cfg)
+    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, cfg)
     folder.mkdir()
     run_folder.save_config(folder, env_cfg, cfg, [])
     run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)

@@ -44,10 +44,11 @@ def make_run(folder, task, seed=0, action=None):
     """A run folder that holds an untrained policy; action: what it answers to everything, if not what it likes."""
     env_cfg = tasks.task_config(task, history=2)
     cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), (2 * go1_env.FRAME_WIDTH, 3, 12), 2, cfg)
+    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, cfg)
     if action is not None:
-        w, b = learner.params["actor"]["layers"][-1]
-        learner.params["actor"]["layers"][-1] = (jnp.zeros_like(w), jnp.full_like(b, action))
+        last = learner.params["actor"]["layers"][-1]
+        last = last._replace(even=jnp.zeros_like(last.even), bias=jnp.full_like(last.bias, action))
+        learner.params["actor"]["layers"][-1] = last
     folder.mkdir(exist_ok=True)
     run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
     return folder
@@ -74,8 +75,7 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
     """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
     params, env_cfg = run_folder.load_policy(runs["velocity"] / "policy.npz")
-    w, b = params["actor"]["layers"][-1]
-    params["actor"]["layers"][-1] = (40 * w, 40 * b)
+    params["actor"]["layers"][-1] = jax.tree.map(lambda x: 40 * x, params["actor"]["layers"][-1])
     run_folder.save_policy(tmp_path / "policy.npz", params, env_cfg)
     section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.S)

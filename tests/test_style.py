@@ -26,7 +26,7 @@ LAYERS = {
     "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
-    "networks": {"numpy", "jax"},
+    "networks": {"numpy", "jax", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),

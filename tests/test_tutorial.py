@@ -34,7 +34,7 @@ PAGE = ROOT / "tutorial.md"
 BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
 QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
-MODULES = {path.stem for path in ROOT.glob("*.py")} | {"results", "tutorial"}
+MODULES = {path.stem for path in ROOT.glob("*.py")} | {"tutorial"}
 
 
 def blocks(language):
