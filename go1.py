@@ -41,14 +41,14 @@ def leg_points(q):
 
 
 def build_model(timestep, ground):
-    """The robot of go1.xml on its plane, or on the height field of a terrain.Ground."""
+    """The robot of go1.xml on its plane, or on a ground: heights (ny, nx) [m], see terrain.make_ground."""
     spec = mujoco.MjSpec.from_file(str(MODEL))
     spec.option.timestep = timestep
     if ground is not None:
-        low, high = ground.heights.min(), ground.heights.max()
-        half = (np.array(ground.heights.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
-        spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.heights.shape[0],
-                        ncol=ground.heights.shape[1], userdata=ground.heights.ravel())  # fmt: skip
+        low, high = ground.min(), ground.max()
+        half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
+        spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.shape[0],
+                        ncol=ground.shape[1], userdata=ground.ravel())  # fmt: skip
         # A height field is made of prisms. A foot that sinks in too deep is pushed out of one sideways, into the next,
         # and stays stuck: its contacts have to be as stiff as a timestep of 5 ms allows.
         for leg in LEGS:

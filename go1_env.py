@@ -71,8 +71,7 @@ class Go1Env:
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]  # a single tile is a rough one
-        noise = env_cfg.ground_seed, env_cfg.cells_per_m, env_cfg.octaves
-        self.ground = terrain.make_ground(levels, *noise) if levels.any() else None  # a plane
+        self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m) if levels.any() else None
         model = go1.build_model(env_cfg.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
@@ -223,10 +222,7 @@ class Go1Env:
         return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
     def tracked_velocity(self, frame):
-        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3): in the trunk's frame, "body", or in the "heading" frame (D25).
-
-        That one is horizontal and turned with the robot's yaw, so its velocity is the velocity over ground.
-        """
+        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), in the frame "body" or, over ground, "heading" (D25)."""
         if frame == "body":
             return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
         to_world = self._to_world().as_matrix()

@@ -80,7 +80,6 @@ class Config:
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
     cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
-    octaves: int = 1  # [lab code] of the Perlin noise (D22)
     ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
     tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
     friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
@@ -127,10 +126,10 @@ def check(num_envs, env_cfg, threads):
             raise ValueError(f"{name} is {getattr(env_cfg, name)}: it must not be negative")
     if env_cfg.friction[1] > MOST_FRICTION:
         raise ValueError(f"friction is {env_cfg.friction}: above {MOST_FRICTION} the feet would sink into the ground")
-    if env_cfg.cells_per_m * 2.0 ** min(env_cfg.octaves - 1, 99) * terrain.SPACING > 0.5:
+    if env_cfg.cells_per_m * terrain.SPACING > 0.5:
         raise ValueError(
-            f"cells_per_m {env_cfg.cells_per_m} with octaves {env_cfg.octaves} is too fine for a ground of points"
-            f" {terrain.SPACING} m apart: cells_per_m * 2**(octaves - 1) can be {0.5 / terrain.SPACING:.0f} at most"
+            f"cells_per_m is {env_cfg.cells_per_m}: a ground of points {terrain.SPACING} m apart can show"
+            f" {0.5 / terrain.SPACING:.0f} cells per metre at most"
         )
     if env_cfg.payload[0] <= -5:
         raise ValueError(f"payload is {env_cfg.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")

@@ -324,7 +324,7 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch, capsys):
     assert evaluate.main([runs["rough"], "--clip", "torque", "--roughness", "0.03", "--episodes", "3"]) == 0
     (env,) = seen
     assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
-    assert np.ptp(env.ground.heights[:, : env.ground.heights.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
+    assert np.ptp(env.ground[:, : env.ground.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
 
 
 def test_the_line_of_a_run_by_hand(runs, monkeypatch, capsys):

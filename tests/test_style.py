@@ -30,11 +30,9 @@ LAYERS = {
     "eipo": {"numpy", "jax", "optax"},
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),
-    "sweep": set(),
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
-    "scene": {"numpy", "mujoco", "PIL"},
-    "play": {"numpy", "jax", "mujoco"},
+    "play": {"numpy", "jax", "mujoco", "PIL"},
 }
 
 
