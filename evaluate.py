@@ -154,16 +154,18 @@ def fig5(folders, args):
 def fig6(folders, args):
     """Velocity over time of the robots that have not fallen yet; dotted, the paper's peaks on hardware. Section VI.
 
-    Means of about 17 control steps each, a period of the 3 Hz clock: all robots stride in time with it.
+    Means over about a period of the clock each, because all robots stride in time with it.
     """
     rows = []
     for name, runs in by_label(folders, "velocity").items():
         series = []
         for folder in runs:
-            played = measure.steps(*measure.load(folder, args.episodes, args.clip, args.roughness))
+            policy, env = measure.load(folder, args.episodes, args.clip, args.roughness)
+            played = measure.steps(policy, env)
             v_x = np.array([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played])
-            series.append([stride.mean(0) for stride in np.array_split(v_x, max(1, len(v_x) // 17))])
-        time = [0.02 * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, len(series[0]))]
+            strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
+            series.append([stride.mean(0) for stride in np.array_split(v_x, strides)])
+        time = [env.period * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, strides)]
         rows += [dict(task="velocity", run=name, time=t, seeds=len(runs), episodes=args.episodes)
                  | measure.summarise("v_x", at) for t, *at in zip(time, *series, strict=True)]  # fmt: skip
     figure = Figure(figsize=(5, 3.6), layout="constrained")
@@ -249,7 +251,8 @@ def progress(argv):
     if not (folder / "checkpoint.npz").exists():
         return ""
     train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
-    return "done" if len((folder / "metrics.csv").read_text().splitlines()) > cfg.iterations else "started"
+    done = len(run_folder.read_metrics(folder).get("iteration", ()))
+    return "done" if done >= cfg.iterations else "started"
 
 
 def main(argv):

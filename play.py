@@ -19,7 +19,6 @@ if HEADLESS:  # MuJoCo decides how to draw when it is imported
     backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
 
-import jax
 import mujoco
 import mujoco.viewer
 import numpy as np
@@ -27,7 +26,7 @@ from PIL import Image, ImageDraw
 
 import go1
 import go1_env
-import networks
+import measure
 import run_folder
 import terrain
 
@@ -50,13 +49,12 @@ def play(env, folder, command, follow=False):
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place; follow: load each new policy.npz
     """
     path, loaded = Path(folder) / "policy.npz", None
-    mean = jax.jit(lambda params, obs: networks.policy(params, obs)[0])
     obs, _ = env.reset(0, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded, params = path.stat().st_mtime_ns, run_folder.load_policy(path)[0]
+            loaded, policy = path.stat().st_mtime_ns, measure.deterministic(run_folder.load_policy(path)[0])
         env.state.command[:] = env.state.given[:] = command
-        obs, _, _, _, info = env.step(np.asarray(mean(params, obs)))
+        obs, _, _, _, info = env.step(policy(obs))
         yield info["log"]
 
 

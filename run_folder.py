@@ -206,15 +206,18 @@ class Log:
             print(line, flush=True)
 
 
+def read_metrics(folder):
+    """The columns of a run's metrics.csv: {"iteration": (n,), "reward": (n,), ...}, {} if it has no row yet."""
+    with open(folder / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+
+
 def draw_curves(folder):
     """curves.png: the columns of metrics.csv that tell the story, over environment steps."""
     from matplotlib.figure import Figure  # slow to import, and only wanted here
 
-    with open(folder / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
-    if not rows:
-        return
-    columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    columns = read_metrics(folder)
     panels = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]",
                   gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
     figure = Figure(figsize=(12, 6), layout="constrained")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -230,9 +231,9 @@ def test_fig6_by_hand(runs, monkeypatch, tmp_path):
         for t in range(1, 35):
             yield np.zeros(2), dict(v_x=np.array([t, t + 1.0])), np.array([True, t <= 10]), np.array([False, t == 10])
 
-    loaded = []
+    loaded, env = [], SimpleNamespace(period=0.02, env_cfg=tasks.task_config("velocity"))
     monkeypatch.setattr(
-        measure, "load", lambda *arguments: loaded.append((str(arguments[0]), *arguments[1:])) or ("mean", "env")
+        measure, "load", lambda *arguments: loaded.append((str(arguments[0]), *arguments[1:])) or ("policy", env)
     )
     monkeypatch.setattr(measure, "steps", steps)
     argv = ["fig6", runs["velocity"], "--episodes", "2", "--clip", "torque", "--roughness", "0.08"]
@@ -493,7 +494,7 @@ def test_a_finished_run_is_resumed_for_more_iterations(sweep):
     """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
     folder = fake_run(sweep("fig2")[-1], 3999)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("\n" * 4001)
+    (folder / "metrics.csv").write_text("iteration\n" + "0\n" * 4000)
     assert len(sweep("fig2")) == 8
     assert sweep("fig2", "--iterations", "4001")[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
 

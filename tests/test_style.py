@@ -32,7 +32,7 @@ LAYERS = {
     "train": set(),
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
-    "play": {"numpy", "jax", "mujoco", "PIL"},
+    "play": {"numpy", "mujoco", "PIL"},
 }
 
 
