@@ -4,7 +4,7 @@ Section IV-B of the paper. Both are *costs*: positive is bad, and the learner mu
 Every function takes any leading batch shape and reduces the last axis, the twelve joints in the order
 FR, FL, RR, RL x hip, thigh, calf.
 
-Not here: how the torques come about (`actuators.py`) and how the cost is weighed against the task (`eipo.py`).
+Not here: how the torques come about (`go1.py`) and how the cost is weighed against the task (`eipo.py`).
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ SURVIVAL = 200.0  # W, bonus that keeps the cost negative, so that ending the ep
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
-def mechanical_power(torque, qd, clip="torque"):
+def mechanical_power(torque, qd, clip):
     """Mechanical power that the motors draw [W]. Eq. (9), line 2: clip(tau, min=-3, max=1e4)^T qd.
 
     torque: (..., 12) [N m]    joint torque
@@ -28,8 +28,8 @@ def mechanical_power(torque, qd, clip="torque"):
     returns (...,) [W]
     Raises ValueError for any other clip.
 
-    Deviation D3: the default here is the printed clip, training uses "power". With the printed one a joint that is
-    driven hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
+    Deviation D3: the paper prints "torque", training uses "power". With the printed one a joint that is driven hard in
+    the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)
@@ -48,7 +48,7 @@ def heating_power(torque, gear_ratio=GEAR_RATIO):
     return HEATING * np.square(torque * gear_ratio).sum(-1)
 
 
-def total_power(torque, qd, clip="torque"):
+def total_power(torque, qd, clip):
     """Power drawn from the battery [W]: r_mechanical + r_heating + r_battery of Eq. (9), without the bonus.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
@@ -56,7 +56,7 @@ def total_power(torque, qd, clip="torque"):
     return mechanical_power(torque, qd, clip) + heating_power(torque) + BATTERY
 
 
-def energy_cost(torque, qd, clip="torque"):
+def energy_cost(torque, qd, clip):
     """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), the total power less the survival bonus of 200.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].

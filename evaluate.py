@@ -9,6 +9,7 @@ How policies are measured is in `measure.py`.
 
 import argparse
 import csv
+import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -19,13 +20,24 @@ from matplotlib.figure import Figure
 
 import measure
 import run_folder
-import sweep
+import train
 
-KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in sweep.LAMBDAS))
+LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
                           (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
 HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI
+EIPO = ("--algo", "eipo")
+PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
+SWEEPS = dict(  # the runs behind each figure and Table I: task, flags of train.py
+    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
+    fig5=[("curriculum", flags)
+          for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
+    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
+    table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # m/s, commands of Figs. 2 to 4
 ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
 
@@ -37,11 +49,11 @@ def by_label(folders, task):
     """
     groups = {}
     for folder in map(Path, folders):
-        env_config, learner = run_folder.load_config(folder)
-        if env_config.task == task:
-            name = "EIPO" if learner.algo == "eipo" else f"PPO({learner.lam:g})"
-            name += " smooth" * (env_config.aux == "smooth") + " shaped" * (env_config.reward == "shaped")
-            groups.setdefault(name, {})[folder] = asdict(env_config) | asdict(learner)
+        env_cfg, cfg = run_folder.load_config(folder)
+        if env_cfg.task == task:
+            name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
+            name += " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+            groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
     if not groups:
         raise ValueError(f"none of the run folders is of the task {task}")
     for name, runs in groups.items():
@@ -142,16 +154,18 @@ def fig5(folders, args):
 def fig6(folders, args):
     """Velocity over time of the robots that have not fallen yet; dotted, the paper's peaks on hardware. Section VI.
 
-    Means of about 17 control steps each, a period of the 3 Hz clock: all robots stride in time with it.
+    Means over about a period of the clock each, because all robots stride in time with it.
     """
     rows = []
     for name, runs in by_label(folders, "velocity").items():
         series = []
         for folder in runs:
-            played = measure.steps(*measure.load(folder, args.episodes, args.clip, args.roughness))
+            policy, env = measure.load(folder, args.episodes, args.clip, args.roughness)
+            played = measure.steps(policy, env)
             v_x = np.array([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played])
-            series.append([stride.mean(0) for stride in np.array_split(v_x, max(1, len(v_x) // 17))])
-        time = [0.02 * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, len(series[0]))]
+            strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
+            series.append([stride.mean(0) for stride in np.array_split(v_x, strides)])
+        time = [env.period * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, strides)]
         rows += [dict(task="velocity", run=name, time=t, seeds=len(runs), episodes=args.episodes)
                  | measure.summarise("v_x", at) for t, *at in zip(time, *series, strict=True)]  # fmt: skip
     figure = Figure(figsize=(5, 3.6), layout="constrained")
@@ -211,6 +225,36 @@ def print_table(folders, args):
               f"| {e.power.mean():.1f} | {energy:.0f} |", flush=True)  # fmt: skip
 
 
+# ---- the train.py commands that are still to be given ----
+
+
+def missing_runs(what, flags):
+    """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
+    if what not in SWEEPS:
+        raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    taken = [flag for flag in flags if flag.split("=")[0] in own]
+    if taken:
+        raise ValueError(f"--commands sets {taken[0]} itself")
+    for task, setting in SWEEPS[what]:
+        for seed in range(3):
+            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
+            if (so_far := progress(argv)) != "done":
+                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
+
+
+def progress(argv):
+    """How far the run of these train.py arguments is: "", "started" or "done"."""
+    options, given_env, given_learner = train.parse(argv)
+    env_cfg, cfg = train.settle(given_env, given_learner)
+    folder = train.run_path(train.Options(**options), env_cfg, cfg)
+    if not (folder / "checkpoint.npz").exists():
+        return ""
+    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
+    done = len(run_folder.read_metrics(folder).get("iteration", ()))
+    return "done" if done >= cfg.iterations else "started"
+
+
 def main(argv):
     """Evaluate, draw or list; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -226,7 +270,7 @@ def main(argv):
     )
     try:
         if argv[:1] == ["--commands"]:
-            print(*sweep.commands("".join(argv[1:2]), argv[2:]), sep="\n")
+            print(*missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
             return 0
         args = parser.parse_intermixed_args(argv)
         if args.episodes < 1:

@@ -1,6 +1,8 @@
-"""The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose and the kinematics of its legs.
+"""The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose, the kinematics of its legs and its motors.
 
-Joints and legs come in the order FR, FL, RR, RL x hip, thigh, calf. The numbers are those of Unitree's URDF.
+Joints and legs come in the order FR, FL, RR, RL x hip, thigh, calf; arrays over the joints are (..., 12). The numbers
+are those of Unitree's URDF, or of Sections IV-C (gains) and V-D (torque-speed limit). The functions of the motors are
+called before every physics step, so that the torque in Eq. (9) is the torque that was applied.
 """
 
 from pathlib import Path
@@ -18,6 +20,10 @@ LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02  # m: thigh and calf length, h
 MIRROR = np.kron(np.kron(np.eye(2), [[0, 1], [1, 0]]), np.diag([-1, 1, 1]))  # (12, 12)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
 HIP = np.array([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])  # m [URDF]
+KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, Section IV-C
+TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)  # N m, "effort" in the Go1's URDF
+VELOCITY_LIMIT = np.tile([30.1, 30.1, 20.06], 4)  # rad/s, "velocity" in the Go1's URDF, qd_max of Section V-D
+STALL_TORQUE = 33.0  # N m, Section V-D
 
 
 def leg_points(q):
@@ -35,14 +41,14 @@ def leg_points(q):
 
 
 def build_model(timestep, ground):
-    """The robot of go1.xml on its plane, or on the height field of a terrain.Ground."""
+    """The robot of go1.xml on its plane, or on a ground: heights (ny, nx) [m], see terrain.make_ground."""
     spec = mujoco.MjSpec.from_file(str(MODEL))
     spec.option.timestep = timestep
     if ground is not None:
-        low, high = ground.heights.min(), ground.heights.max()
-        half = (np.array(ground.heights.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
-        spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.heights.shape[0],
-                        ncol=ground.heights.shape[1], userdata=ground.heights.ravel())  # fmt: skip
+        low, high = ground.min(), ground.max()
+        half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
+        spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.shape[0],
+                        ncol=ground.shape[1], userdata=ground.ravel())  # fmt: skip
         # A height field is made of prisms. A foot that sinks in too deep is pushed out of one sideways, into the next,
         # and stays stuck: its contacts have to be as stiff as a timestep of 5 ms allows.
         for leg in LEGS:
@@ -50,3 +56,45 @@ def build_model(timestep, ground):
         floor = spec.geom("floor")
         floor.type, floor.hfieldname, floor.pos = mujoco.mjtGeom.mjGEOM_HFIELD, "ground", [*half, low]
     return spec.compile()
+
+
+# ---- the motors: from a joint target to a joint torque ----
+
+
+def pd_torque(target, q, qd):
+    """Torque of the PD controller [N m]: kp (target - q) - kd qd. Section IV-C.
+
+    target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
+    """
+    return KP * (target - q) - KD * qd
+
+
+def motor_model(target, q, qd):
+    """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
+
+    target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
+    Deviation D11: the paper's network is not public. This approximates the lab's published one, for errors below about
+    0.5 rad: a PD controller with 0.2 more damping, and the torque-speed limit. The network saturates earlier, at 18 N m
+    for 1 rad. A network can take the place of this function.
+    """
+    return KP * (target - q) - (KD + 0.2) * qd
+
+
+def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
+    """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
+
+    qd, qd_max: (..., 12) [rad/s]; returns (..., 12) [N m].
+    Deviation D7: never below 0. As printed the limit turns negative, i.e. meaningless, beyond qd_max.
+    """
+    return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
+
+
+def limit_torque(torque, qd, torque_speed=False):
+    """Clip a torque to what the motors can give [N m].
+
+    torque:       (..., 12) [N m], qd: (..., 12) [rad/s]
+    torque_speed: apply the limit of Section V-D before that of the URDF
+    returns       (..., 12) [N m]
+    """
+    limit = np.minimum(torque_speed_limit(qd), TORQUE_LIMIT) if torque_speed else TORQUE_LIMIT
+    return np.clip(torque, -limit, limit)

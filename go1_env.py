@@ -23,6 +23,7 @@ What differs between the tasks of Section IV-A is in `tasks.py`. This file knows
 
 import json
 import os
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -30,16 +31,15 @@ from mujoco.batch import Batch
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-import actuators
 import curriculum
 import energy
 import go1
 import rewards
+import shaped
 import tasks
 import terrain
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
-LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: thighs, calves; feet
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hips half [lab code]
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
@@ -53,29 +53,26 @@ class Go1Env:
     """`num_envs` Go1 robots on one task.
 
     num_envs: N, at least 1
-    config:   see tasks.Config
-    threads:  C++ threads; 0 takes every core that this process may use
+    env_cfg:  see tasks.Config
+    threads:  C++ threads; None takes every core that this process may use
     Raises ValueError for an unknown task, a non-positive count or a malformed range.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity: the critic sees it, the estimator learns it
 
-    def __init__(self, num_envs, config=tasks.Config(), threads=0):
-        tasks.check(num_envs, config, threads)
-        self.num_envs, self.config, self.task = num_envs, config, tasks.TASKS[config.task]
-        self.obs_size = config.history * FRAME_WIDTH
-        obs_mirror = np.kron(np.eye(config.history), FRAME_MIRROR)
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None):
+        tasks.check(num_envs, env_cfg, threads)
+        self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
+        self.obs_size = env_cfg.history * FRAME_WIDTH
+        obs_mirror = np.kron(np.eye(env_cfg.history), FRAME_MIRROR)
         self.mirror = dict(obs=obs_mirror, privileged=np.diag([1, -1, 1]), action=go1.MIRROR)
-        self.period = config.timestep * config.physics_steps  # s, of a control step
+        self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
-        self.ground = None  # a plane
-        if config.roughness[1] > 0:
-            low, high = config.roughness
-            levels = np.linspace(high, low, config.tiles)[::-1]  # a single tile is a rough one
-            self.ground = terrain.make_ground(levels, config.ground_seed, config.cells_per_m, config.octaves)
-        model = go1.build_model(config.timestep, self.ground)
+        levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]  # a single tile is a rough one
+        self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m) if levels.any() else None
+        model = go1.build_model(env_cfg.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
@@ -83,21 +80,7 @@ class Go1Env:
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17) of the ground with trunk, hips, thighs; calves; feet
-        self.forbidden = slice(13 if self.task.only_feet else 9)
-        self.friction, self.mass = batch.expand("geom_friction"), batch.expand("body_mass")
-        self.com, self.gravity = batch.expand("body_ipos"), batch.expand("opt.gravity")
-        self.strength, self.offset = np.ones((num_envs, 1)), np.zeros((num_envs, 12))  # of the motors
-        self.targets = np.zeros((config.latency + 1, num_envs, 12))  # rad, on their way to the motors
-        self.frames = np.zeros((num_envs, config.history, FRAME_WIDTH), np.float32)
-        self.action = np.zeros((num_envs, 12))
-        self.command, self.given = np.zeros((num_envs, 3)), None
-        self.age = np.zeros(num_envs, np.int64)  # control steps since the episode began
-        self.tile = np.zeros(num_envs, np.int64)  # of the ground, where the episode takes place
-        self.weights = curriculum.initial_weights()
-        self.cell = np.zeros((num_envs, 2), np.int64)  # of the curriculum, where the command is from
-        self.air_time = np.zeros((num_envs, 4))  # s, how long each foot has been off the ground
-        self.touch = np.zeros((num_envs, 4), bool)  # which feet were on the ground in the step before
-        self.tracked = np.zeros((num_envs, 2))  # sums of the kernels of Eq. (8) since the command was drawn
+        self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
     def reset(self, seed, command=None):
@@ -106,15 +89,14 @@ class Go1Env:
         seed: int or numpy SeedSequence
         command: (N, 3) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
         """
-        self.given = None if command is None else np.broadcast_to(command, (self.num_envs, 3)).astype(float)
+        self.state.given[:] = np.nan if command is None else command
         self.rng = np.random.default_rng(seed)
-        self.weights[:], self.tracked[:] = curriculum.initial_weights(), 0.0
-        everyone = np.arange(self.num_envs)
-        self._reset(everyone)
-        if self.config.stagger:
-            self.age[:] = self.rng.integers(self.config.episode_steps, size=self.num_envs)
-            self.frames[:] = self._frame(everyone)[:, None]
-        return self._obs(), {"privileged": self._velocity()}
+        self.state.weights[:], self.state.tracked[:] = curriculum.initial_weights(), 0.0
+        self._reset(np.arange(self.num_envs))
+        if self.env_cfg.stagger:
+            self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
+            self.state.frames[:] = self._frame()[:, None]
+        return self._obs(), {"privileged": self.body_velocity()}
 
     def step(self, action):
         """One control step of 20 ms for every robot.
@@ -126,185 +108,181 @@ class Go1Env:
                  final_obs, final_privileged: the same before autoreset, to be used where an episode ended;
                  log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
         """
-        before = self.action.copy()
-        self.action[:] = np.clip(action, -self.config.action_limit, self.config.action_limit)
-        power, cost, fell, efforts = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.action)
-        self.age += 1
-        linear, velocity = self._velocity(), self._tracked_velocity(self.config.frame)
+        before = self.state.action.copy(), self.qvel[:, 6:].copy()
+        self.state.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
+        power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.state.action)
+        self.state.age += 1
+        linear, over_ground = self.body_velocity(), self.tracked_velocity("heading")
         # MuJoCo resets what is not finite and counts a warning
-        diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.action).all(-1)
-        self.action[diverged] = 0.0  # it may be what was not finite
-        reward, extra = self._reward(velocity, linear[:, 2], *efforts, self.action - before)
+        diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
+        self.state.action[diverged] = 0.0  # it may be what was not finite
+        reward, extra = self._reward(over_ground, *before)
         reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
         power = np.where(diverged, energy.SURVIVAL, power)
-        overload = (power > self.config.max_power) & (self.config.max_power > 0)
+        overload = power > (self.env_cfg.max_power or np.inf)
         terminated = diverged | fell | overload
-        truncated = ~terminated & (self.age >= self.config.episode_steps)
-        self._stay_on_tile()
-        log = dict(v_x=self._tracked_velocity("heading")[:, 0], command_x=self.command[:, 0].copy(), power=power,
+        truncated = ~terminated & (self.state.age >= self.env_cfg.episode_steps)
+        if self.ground is not None:  # a robot that left its tile comes back on the other side, where the ground goes on
+            self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], self.state.tile)
+        log = dict(v_x=over_ground[:, 0], command_x=self.state.command[:, 0].copy(), power=power,
                    ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
-        if self.task.curriculum or self.config.max_power:
+        if self.task.curriculum or self.env_cfg.max_power:
             log |= dict(ended_power=overload & ~fell & ~diverged)
-        self._draw_commands(np.flatnonzero(self.age % self.config.command_steps == 0))
-        self.frames[:, :-1] = self.frames[:, 1:]
-        self.frames[:, -1] = self._frame(np.arange(self.num_envs))
+        self._draw_commands(np.flatnonzero(self.state.age % self.env_cfg.command_steps == 0))
+        self.state.frames[:, :-1] = self.state.frames[:, 1:]
+        self.state.frames[:, -1] = self._frame()
         info = dict(cost=cost, log=log, final_obs=self._obs(), final_privileged=linear)
         ended = np.flatnonzero(terminated | truncated)
         if ended.size:
             self._reset(ended)
-            linear = self._velocity()
+            linear = self.body_velocity()
         return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
 
-    def state(self):
+    def save(self):
         """Everything that the next step depends on, as a dict of arrays: what a checkpoint stores."""
         rng = np.array(json.dumps(self.rng.bit_generator.state))
-        return {name: getattr(self, name).copy() for name in self._state} | dict(sim=self.batch.state.copy(), rng=rng)
+        return {name: x.copy() for name, x in vars(self.state).items()} | dict(rng=rng)
 
-    def load(self, state):
-        """Continue from `state()`, with the same bits as if never stopped."""
-        for name in self._state:
-            getattr(self, name)[:] = state[name]
-        self.batch.state[:] = state["sim"]
+    def load(self, saved):
+        """Continue from what `save` returned, with the same bits as if never stopped."""
+        for name, x in vars(self.state).items():
+            x[:] = saved[name]
         self.batch.set_const()  # what MuJoCo derives from the masses
-        self.rng.bit_generator.state = json.loads(str(state["rng"]))
+        self.rng.bit_generator.state = json.loads(str(saved["rng"]))
 
-    _state = ("frames", "action", "command", "age", "tile", "friction", "mass", "com", "gravity", "strength", "offset",
-              "targets", "weights", "cell", "tracked", "air_time", "touch")  # fmt: skip
+    def _blank_state(self):
+        """What the next step depends on, beside the random generator. `reset` fills these arrays in, in place."""
+        n, batch = self.num_envs, self.batch
+        return SimpleNamespace(
+            sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
+            friction=batch.expand("geom_friction"),  # (N, geoms, 3) [-], in the simulations, as the next three
+            mass=batch.expand("body_mass"),  # (N, bodies) [kg]
+            com=batch.expand("body_ipos"),  # (N, bodies, 3) [m]
+            gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
+            strength=np.ones((n, 1)),  # of the motors
+            offset=np.zeros((n, 12)),  # rad, of the motors' encoders
+            targets=np.zeros((self.env_cfg.latency + 1, n, 12)),  # rad, on their way to the motors
+            action=np.zeros((n, 12)),  # the last one, clipped
+            frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),  # of the observation, oldest first
+            age=np.zeros(n, np.int64),  # control steps since the episode began
+            tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
+            off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it, see shaped.py
+            command=np.zeros((n, 3)),  # m/s, m/s, rad/s
+            given=np.full((n, 3), np.nan),  # the command that reset was told to keep; NaN: commands are drawn
+            weights=curriculum.initial_weights(),
+            cell=np.zeros((n, 2), np.int64),  # of the curriculum, where the command is from
+            tracked=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
+        )
 
     def _physics(self, target):
-        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, who fell, efforts.
+        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, and who fell.
 
-        Efforts are torques [N m], of every physics step, and joint accelerations [rad/s^2], of the control step (D15).
         To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
         Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
         """
-        motor = actuators.motor_model if self.config.motor_model else actuators.pd_torque
-        torques, speeds, fell = [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
-        for _ in range(self.config.physics_steps):
-            self.targets[:-1], self.targets[-1] = self.targets[1:], target
+        motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
+        state, torques, speeds, fell = self.state, [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
+        for _ in range(self.env_cfg.physics_steps):
+            state.targets[:-1], state.targets[-1] = state.targets[1:], target
             q, qd = self.qpos[:, 7:], speeds[-1]
-            torque = self.strength * motor(self.targets[0], q + self.offset, qd)
-            torque = actuators.limit_torque(torque, qd, self.task.torque_speed or self.config.motor_model)
-            self.ctrl[:] = torque
+            torque = state.strength * motor(state.targets[0], q + state.offset, qd)
+            self.ctrl[:] = go1.limit_torque(torque, qd, self.task.torque_speed or self.env_cfg.motor_model)
+            torques.append(self.ctrl.copy())
             self.batch.step()
-            fell |= (self.contacts[:, self.forbidden] > 0).any(-1)
-            torques.append(torque)
+            fell |= (self.contacts[:, : 13 if self.task.only_feet else 9] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
         torques, speeds = np.array(torques), np.array(speeds)
-        qdd = (speeds[-1] - speeds[0]) / self.period
         # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
-        power = energy.total_power(torques, (speeds[:-1] + speeds[1:]) / 2, self.config.clip).mean(0)
-        smooth = self.config.aux == "smooth"
-        cost = energy.smoothness_cost(torques, self.action, qdd).mean(0) if smooth else power - energy.SURVIVAL
-        return power, cost, fell, (torques, qdd)
+        cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)
+        power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
+        if self.env_cfg.aux == "smooth":
+            qdd = (speeds[-1] - speeds[0]) / self.period
+            cost = energy.smoothness_cost(torques, state.action, qdd).mean(0)
+        return power, cost, fell
 
-    def _reward(self, velocity, v_z, torques, qdd, action_change):
-        """The reward of a step (N,), and what it adds to the log; the curriculum keeps count of the tracking."""
-        reward, log = self.task.reward(velocity, self.command), {}
+    def _reward(self, over_ground, action_before, qd_before):
+        """The reward of a step (N,), and what it adds to the log; before: action and qd [rad/s] a control step ago."""
+        velocity = over_ground if self.env_cfg.frame == "heading" else self.tracked_velocity(self.env_cfg.frame)
+        reward, log = self.task.reward(velocity, self.state.command), {}
         if self.task.curriculum:
-            self.tracked += np.column_stack(rewards.kernels(velocity, self.command))
-            log |= dict(command_area=np.full(self.num_envs, self.weights.mean()))
-        if self.config.reward == "shaped":
+            self.state.tracked += np.column_stack(rewards.kernels(velocity, self.state.command))
+            log |= dict(command_area=np.full(self.num_envs, self.state.weights.mean()))
+        if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=reward)
-            reward = rewards.shaped(self._motion(velocity, v_z, torques, qdd, action_change))
+            reward = shaped.reward(shaped.observe(self, velocity, action_before, qd_before))
         return reward, log
 
-    def _motion(self, velocity, v_z, torques, qdd, action_change):
-        """What the shaped reward looks at: rewards.Motion."""
-        touch = self.contacts[:, FEET] > 0
-        touching = touch | self.touch  # a foot that bounces for a step has not left the ground [lab code]
-        landed = np.where(touching & (self.air_time > 0), self.air_time + self.period, 0.0)
-        self.air_time[:], self.touch[:] = np.where(touching, 0.0, self.air_time + self.period), touch
-        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
-        ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
-        return rewards.Motion(
-            velocity=velocity, command=self.command, v_z=v_z, roll_pitch_rate=self.qvel[:, 3:5],
-            gravity=to_world.apply(self._down(), inverse=True), torque=torques[-1], qdd=qdd,
-            height=self.qpos[:, 2] - ground, landed=landed, collisions=(self.contacts[:, LEGS] > 0).sum(-1),
-            action_change=action_change, q=self.qpos[:, 7:], joint_range=self.joint_range)  # fmt: skip
+    def felt_gravity(self, ids=slice(None)):
+        """Unit vectors (n, 3) along gravity in the trunk's frame, with the part that was added to it."""
+        down = self.state.gravity[ids] / np.linalg.norm(self.state.gravity[ids], axis=-1, keepdims=True)
+        return self._to_world(ids).apply(down, inverse=True)
 
-    def _stay_on_tile(self):
-        """Who left the tile comes back on the other side, where the ground goes on: nothing else changes."""
-        if self.ground is not None:
-            self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], self.tile)
-
-    def _down(self):
-        """Unit vectors (N, 3) along gravity, as an accelerometer feels it: also the part that was added to it."""
-        return self.gravity / np.linalg.norm(self.gravity, axis=-1, keepdims=True)
-
-    def _velocity(self):
+    def body_velocity(self):
         """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
-        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True)
-        return to_world.apply(self.qvel[:, :3], inverse=True).astype(np.float32)
+        return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
-    def _tracked_velocity(self, frame):
-        """What Eqs. (5) to (8) compare with the command: v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), D25.
-
-        frame: "heading", which is horizontal and turned with the robot's yaw: the speed over ground; or the "body"'s
-        """
+    def tracked_velocity(self, frame):
+        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), in the frame "body" or, over ground, "heading" (D25)."""
         if frame == "body":
-            return np.column_stack([self._velocity()[:, :2], self.qvel[:, 5]])
-        to_world = Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True).as_matrix()
+            return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
+        to_world = self._to_world().as_matrix()
         yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
         (x, y), sin, cos = self.qvel[:, :2].T, np.sin(yaw), np.cos(yaw)
         return np.column_stack([cos * x + sin * y, cos * y - sin * x, (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)])
 
-    def _frame(self, ids):
+    def _to_world(self, ids=slice(None)):
+        """Orientation of the trunks of the robots `ids`."""
+        return Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
+
+    def _frame(self, ids=slice(None)):
         """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this file."""
-        to_world = Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
-        phase = 2 * np.pi * self.config.clock_hz * self.period * self.age[ids]
+        phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * self.state.age[ids]
         frame = np.column_stack([
-            to_world.apply(self._down()[ids], inverse=True),  # gravity
-            self.command[ids],
-            self.qpos[ids, 7:] - go1.Q_NOMINAL,  # q
-            self.qvel[ids, 6:],  # qd
-            self.action[ids],  # previous action
-            np.sin(phase), np.cos(phase),  # timing reference
+            self.felt_gravity(ids), self.state.command[ids], self.qpos[ids, 7:] - go1.Q_NOMINAL, self.qvel[ids, 6:],
+            self.state.action[ids], np.sin(phase), np.cos(phase),
         ])  # fmt: skip
-        noise = self.config.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
+        noise = self.env_cfg.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
         return FRAME_SCALE * (frame + noise)
 
     def _obs(self):
         """The policy's observation: a copy of the history, flattened, (N, H * FRAME_WIDTH) float32."""
-        return self.frames.reshape(self.num_envs, -1).copy()
+        return self.state.frames.reshape(self.num_envs, -1).copy()
 
     def _draw_commands(self, ids):
         """New commands [m/s, m/s, rad/s] for the robots `ids`; the curriculum learns how they followed the old ones."""
-        if self.given is not None:
-            self.command[ids] = self.given[ids]
+        state = self.state
+        if np.isfinite(state.given).all():
+            state.command[ids] = state.given[ids]
         elif self.task.curriculum:
-            success = curriculum.succeeded(*(self.tracked[ids] / self.config.command_steps).T)
-            self.weights[:] = curriculum.update(self.weights, self.cell[ids], success)  # in place: pi and pi' share it
-            self.tracked[ids] = 0.0
-            self.command[ids], self.cell[ids] = curriculum.sample(self.weights, self.rng, len(ids))
+            success = curriculum.succeeded(*(state.tracked[ids] / self.env_cfg.command_steps).T)
+            state.weights[:] = curriculum.update(state.weights, state.cell[ids], success)  # in place: pi, pi' share it
+            state.tracked[ids] = 0.0
+            state.command[ids], state.cell[ids] = curriculum.sample(state.weights, self.rng, len(ids))
         else:
-            self.command[ids] = self.rng.uniform(0.0, self.task.command_high, (len(ids), 3))
+            state.command[ids] = self.rng.uniform(0.0, self.task.command_high, (len(ids), 3))
 
     def _reset(self, ids):
         """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command, history."""
-        n, uniform = len(ids), self.rng.uniform
+        n, uniform, state, env_cfg = len(ids), self.rng.uniform, self.state, self.env_cfg
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         q = np.clip(go1.Q_NOMINAL * uniform(0.5, 1.5, (n, 12)), *self.joint_range)  # [lab code]
         yaw = Rotation.from_rotvec(uniform(-np.pi, np.pi, n)[:, None] * [0.0, 0.0, 1.0])
         points = np.einsum("nij,nkj->nki", yaw.as_matrix(), go1.leg_points(q))
         xy, ground = np.zeros((n, 2)), 0.0
         if self.ground is not None:
-            self.tile[ids] = self.rng.integers(self.config.tiles, size=n)
-            xy = terrain.origin(self.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
+            state.tile[ids] = self.rng.integers(env_cfg.tiles, size=n)
+            xy = terrain.origin(state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
-        self.qpos[ids, :2] = xy
-        self.qpos[ids, 2] = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)  # the lowest foot or knee touches
-        self.qpos[ids, 3:7] = yaw.as_quat(scalar_first=True)
-        self.qpos[ids, 7:] = q
+        height = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)  # the lowest foot or knee touches
+        self.qpos[ids] = np.column_stack([xy, height, yaw.as_quat(scalar_first=True), q])
         self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]
-        self.friction[np.ix_(ids, self.feet, [0])] = uniform(*self.config.friction, (n, 1, 1))
-        self.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*self.config.payload, n)
-        self.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*self.config.com, (n, 3))
+        state.friction[np.ix_(ids, self.feet, [0])] = uniform(*env_cfg.friction, (n, 1, 1))
+        state.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*env_cfg.payload, n)
+        state.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*env_cfg.com, (n, 3))
         self.batch.set_const(ids)  # what MuJoCo derives from the masses
-        self.gravity[ids] = GRAVITY + uniform(*self.config.gravity, (n, 3))
-        self.strength[ids] = uniform(*self.config.motor_strength, (n, 1))
-        self.offset[ids] = uniform(*self.config.motor_offset, (n, 12))
-        self.targets[:, ids], self.air_time[ids], self.touch[ids] = go1.Q_NOMINAL, 0.0, False
-        self.action[ids], self.age[ids] = 0.0, 0
+        state.gravity[ids] = GRAVITY + uniform(*env_cfg.gravity, (n, 3))
+        state.strength[ids] = uniform(*env_cfg.motor_strength, (n, 1))
+        state.offset[ids] = uniform(*env_cfg.motor_offset, (n, 12))
+        state.targets[:, ids], state.action[ids], state.age[ids], state.off_ground[ids] = go1.Q_NOMINAL, 0.0, 0, 1
         self._draw_commands(ids)
-        self.frames[ids] = self._frame(ids)[:, None]
+        state.frames[ids] = self._frame(ids)[:, None]

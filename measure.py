@@ -37,38 +37,49 @@ class Episodes(NamedTuple):
     peak_sustained: np.ndarray  # [m/s] largest mean of 0.2 s
 
 
-def load(folder, num_episodes, clip=None, roughness=None, threads=0):
-    """The deterministic policy of a run folder and an environment to try it in: mean(obs) and Go1Env.
+@jax.jit
+def mean_action(params, obs):
+    """The action (N, 12) [-] for obs (N, D) without exploration noise; params: as of networks.policy."""
+    return networks.policy(params, obs)[0]
+
+
+def deterministic(params):
+    """The policy that is evaluated and shown: a function of obs (N, D) that returns actions (N, 12) [-] in NumPy."""
+    return lambda obs: np.asarray(mean_action(params, obs))
+
+
+def load(folder, num_episodes, clip=None, roughness=None, threads=None):
+    """The `deterministic` policy of a run folder, and a Go1Env to try it in.
 
     num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
     """
-    params, config = run_folder.load_policy(Path(folder) / "policy.npz")
-    config = replace(config, reward="paper", frame="heading", stagger=False,
+    params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
+    env_cfg = replace(env_cfg, reward="paper", frame="heading", stagger=False,
                      episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
-                     clip=clip or config.clip, ground_seed=SEED,
-                     roughness=config.roughness if roughness is None else (roughness, roughness))  # fmt: skip
-    return jax.jit(lambda obs: networks.policy(params, obs)[0]), go1_env.Go1Env(num_episodes, config, threads)
+                     clip=clip or env_cfg.clip, ground_seed=SEED,
+                     roughness=env_cfg.roughness if roughness is None else (roughness, roughness))  # fmt: skip
+    return deterministic(params), go1_env.Go1Env(num_episodes, env_cfg, threads)
 
 
-def steps(mean, env, command=None):
+def steps(policy, env, command=None):
     """One episode of every robot; yields reward, log, who was still in the episode, and who fell in this step.
 
     command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; None: one that the task draws
     """
     obs, _ = env.reset(SEED, command)
     alive = np.ones(env.num_envs, bool)
-    for _ in range(env.config.episode_steps):
-        obs, reward, terminated, truncated, info = env.step(np.asarray(mean(obs)))
+    for _ in range(env.env_cfg.episode_steps):
+        obs, reward, terminated, truncated, info = env.step(policy(obs))
         yield reward, info["log"], alive, alive & terminated
         alive = alive & ~(terminated | truncated)
 
 
-def run_episodes(mean, env, command=None):
+def run_episodes(policy, env, command=None):
     """Episodes of every robot of env; arguments as of `steps`."""
-    limit, totals, late = env.config.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
+    limit, totals, late = env.env_cfg.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
     recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
     peak, sustained = np.full((2, env.num_envs), -np.inf)
-    for t, (reward, log, alive, falls) in enumerate(steps(mean, env, command)):
+    for t, (reward, log, alive, falls) in enumerate(steps(policy, env, command)):
         v_x = log["v_x"]
         totals += np.where(alive, [reward, v_x, log["power"], np.ones(env.num_envs)], 0.0)
         if t >= limit // 2:

@@ -6,10 +6,12 @@ backspace sets it to 0. With --follow the robot gets every new policy that a run
 
 import argparse
 import ctypes.util
+import itertools
 import os
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -17,17 +19,28 @@ if HEADLESS:  # MuJoCo decides how to draw when it is imported
     backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
 
-import jax
 import mujoco
 import mujoco.viewer
 import numpy as np
+from PIL import Image, ImageDraw
 
-import networks
+import go1
+import go1_env
+import measure
 import run_folder
-import scene
+import terrain
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
+AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is on the middle one
+SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
+
+
+def make_env(env_cfg, roughness=None):
+    """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
+    level = env_cfg.roughness[1] if roughness is None else roughness
+    changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes), threads=1)
 
 
 def play(env, folder, command, follow=False):
@@ -36,14 +49,48 @@ def play(env, folder, command, follow=False):
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place; follow: load each new policy.npz
     """
     path, loaded = Path(folder) / "policy.npz", None
-    mean = jax.jit(lambda params, obs: networks.policy(params, obs)[0])
     obs, _ = env.reset(0, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded, params = path.stat().st_mtime_ns, run_folder.load_policy(path)[0]
-        env.command[:] = env.given[:] = command
-        obs, _, _, _, info = env.step(np.asarray(mean(params, obs)))
+            loaded, policy = path.stat().st_mtime_ns, measure.deterministic(run_folder.load_policy(path)[0])
+        env.state.command[:] = env.state.given[:] = command
+        obs, _, _, _, info = env.step(policy(obs))
         yield info["log"]
+
+
+# ---- what is drawn: one robot, in a world that goes on as far as one can see ----
+
+
+def make_scene(env):
+    """Model and data to draw env with: the ground goes on as far as one can see, but only the robot's tile is real."""
+    ground = env.ground
+    if ground is not None:
+        margin = round(terrain.APRON / terrain.SPACING)
+        ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
+    model = go1.build_model(env.env_cfg.timestep, ground)
+    return model, mujoco.MjData(model)
+
+
+def show(env, model, data):
+    """Put the drawn robot where the simulated one is."""
+    data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
+    if env.ground is not None:
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
+    mujoco.mj_forward(model, data)
+
+
+def point(camera, env, model):
+    """Let a camera follow the trunk, from the front right of where the robot heads now."""
+    w, x, y, z = env.qpos[0, 3:7]
+    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
+    camera.distance, camera.elevation = 1.7, -20.0
+    camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def caption(log, command):
+    """What the robot is asked to do and does, in one line."""
+    asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True) if x)
+    return f"{'asked ' + asked + '   ' if asked else ''}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
 
 
 def watch(env, steps, command):
@@ -52,21 +99,47 @@ def watch(env, steps, command):
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
-    model, data = scene.make_scene(env)
+    model, data = make_scene(env)
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
-        scene.point(viewer.cam, env, model)
+        point(viewer.cam, env, model)
         while viewer.is_running():
             start = time.monotonic()
             log = next(steps)
             with viewer.lock():
-                scene.show(env, model, data)
-            viewer.set_texts((None, None, scene.caption(log, command), None))
+                show(env, model, data)
+            viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
             time.sleep(max(0.0, env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
         thread.join(5.0)  # the viewer's: GLFW may hang if Python ends before it
+
+
+def save_gif(path, env, steps, seconds, command):
+    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
+    model, data = make_scene(env)
+    images, camera = [], mujoco.MjvCamera()
+    next(itertools.islice(steps, round(1 / env.period) - 1, None))
+    point(camera, env, model)
+    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+        for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):
+            show(env, model, data)
+            renderer.update_scene(data, camera)
+            image = Image.fromarray(renderer.render())
+            ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
+            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames: smaller
+            images.append(image.quantize(dither=Image.Dither.NONE, **palette))
+    duration = round(1000 * env.period * STEPS_PER_FRAME)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def writable(path):
+    """The path of a GIF, once it is clear that it can be written. Raises ValueError or OSError."""
+    if Path(path).suffix.lower() != ".gif":
+        raise ValueError(f"{path} does not end in .gif")
+    Path(path).touch()
+    return path
 
 
 def main(argv):
@@ -81,8 +154,8 @@ def main(argv):
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
     args = parser.parse_args(argv)
     try:
-        _, config = run_folder.load_policy(Path(args.run) / "policy.npz")
-        env = scene.make_env(config, args.roughness)
+        _, env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")
+        env = make_env(env_cfg, args.roughness)
         greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
         command = np.array(greatest if args.command is None else args.command, float)
         if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:
@@ -93,7 +166,7 @@ def main(argv):
         if args.gif and os.environ.get("MUJOCO_GL") == "off":
             raise ValueError("nothing to draw with: install libegl1 or libosmesa6")
         if args.gif:
-            scene.save_gif(writable(args.gif), env, steps, args.seconds, command)
+            save_gif(writable(args.gif), env, steps, args.seconds, command)
         else:
             watch(env, steps, command)
     except KeyboardInterrupt:
@@ -105,14 +178,6 @@ def main(argv):
         print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
-
-
-def writable(path):
-    """The path of a GIF, once it is clear that it can be written. Raises ValueError or OSError."""
-    if Path(path).suffix.lower() != ".gif":
-        raise ValueError(f"{path} does not end in .gif")
-    Path(path).touch()
-    return path
 
 
 if __name__ == "__main__":

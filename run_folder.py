@@ -29,7 +29,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import actuators
 import curriculum
 import eipo
 import go1
@@ -61,7 +60,7 @@ def replace_file(path, write):
     os.replace(temporary, path)
 
 
-def save_config(folder, env_config, config, argv, resume=False):
+def save_config(folder, env_cfg, cfg, argv, resume=False):
     """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
     old = json.loads((folder / "config.json").read_text()) if resume else dict(starts=[])
     starts = old.get("starts", [{name: x for name, x in old.items() if name not in ("env", "learner")}])  # of old runs
@@ -71,7 +70,7 @@ def save_config(folder, env_config, config, argv, resume=False):
         machine=f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}",
         versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
     )
-    record = dict(env=asdict(env_config), learner=asdict(config), starts=[*starts, about])
+    record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
@@ -111,7 +110,7 @@ def save_checkpoint(path, state, envs):
     """Everything: learners, optimisers, alpha, and for each environment its simulations and random generator."""
     arrays = {"state" + name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
     for i, env in enumerate(envs):
-        arrays |= {f"env{i}.{name}": x for name, x in env.state().items()}
+        arrays |= {f"env{i}.{name}": x for name, x in env.save().items()}
     replace_file(path, lambda file: np.savez(file, **arrays))
 
 
@@ -136,7 +135,7 @@ def load_checkpoint(path, template, envs):
     return state
 
 
-def save_policy(path, params, env_config):
+def save_policy(path, params, env_cfg):
     """policy.npz: what it takes to run the policy without JAX and without this project. README shows how.
 
     params: of plain MLPs, as `networks.EvenOdd.dense` returns them
@@ -154,9 +153,9 @@ def save_policy(path, params, env_config):
     layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
     weights = {f"{net}.{i}.{name}": np.asarray(x, np.float32) for net in layers for i, layer in enumerate(layers[net])
                for name, x in dict(W=layer.even, b=layer.bias).items()}  # fmt: skip
-    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=actuators.KP,
-                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=actuators.KD)  # fmt: skip
-    arrays = weights | units | dict(config=json.dumps(asdict(env_config)))
+    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
+                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
+    arrays = weights | units | dict(config=json.dumps(asdict(env_cfg)))
     replace_file(path, lambda file: np.savez(file, **arrays))
 
 
@@ -207,15 +206,18 @@ class Log:
             print(line, flush=True)
 
 
+def read_metrics(folder):
+    """The columns of a run's metrics.csv: {"iteration": (n,), "reward": (n,), ...}, {} if it has no row yet."""
+    with open(folder / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+
+
 def draw_curves(folder):
     """curves.png: the columns of metrics.csv that tell the story, over environment steps."""
     from matplotlib.figure import Figure  # slow to import, and only wanted here
 
-    with open(folder / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
-    if not rows:
-        return
-    columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    columns = read_metrics(folder)
     panels = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]",
                   gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
     figure = Figure(figsize=(12, 6), layout="constrained")

@@ -1,6 +1,6 @@
-"""What the world is like: every setting of the environment, and what is set for each task of Section IV-A.
+"""What a task of Section IV-A is, for the world and for the learner; and every setting of the world.
 
-`task_config` makes the Config with these values:
+`task_config` makes the Config of the world, and `train.py` that of the learner, with these values:
 
 |                   | flat              | rough      | velocity     | curriculum                  | source            |
 |-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
@@ -18,8 +18,12 @@
 | motor strength    | 1                 | 1          | 1            | 0.9 to 1.1                  | [lab code]        |
 | motor offset      | 0                 | 0          | 0            | +- 0.02 rad                 | [lab code]        |
 | added gravity     | 0                 | 0          | 0            | +- 1 m/s^2 along each axis  | [lab code]        |
+| lambda_0          | 0.005             | 0.0002     | 0.0002       | 0.005                       | [V-A, B, D, E]    |
+| iterations        | 4000              | 4000       | 10 000       | 10 000 (D24)                | [V-A, B, D]       |
+| environments      | 256               | 256        | 128          | 256                         | [ours]            |
 
-Everything that has a range is drawn for an episode.
+Everything that has a range is drawn for an episode. `velocity` has fewer environments because there no reward for
+standing still has to be overcome.
 """
 
 from collections.abc import Callable
@@ -36,7 +40,8 @@ class Task(NamedTuple):
     """What makes a task of Section IV-A that task: see the table at the top of this file."""
 
     reward: Callable
-    settings: dict  # fields of Config that differ from their defaults
+    world: dict  # fields of Config that differ from their defaults
+    learner: dict  # fields of eipo.Config that differ from their defaults
     command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
     only_feet: bool = False  # may touch the ground; if not, the calves may as well
     torque_speed: bool = False  # limit of Section V-D
@@ -47,12 +52,14 @@ FORWARD = (1.0, 0.0, 0.0)
 RANDOMISED = dict(friction=(0.1, 1.25), payload=(-1.0, 3.0), com=(-0.05, 0.05), motor_strength=(0.9, 1.1),
                   motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
 TASKS = {
-    "flat": Task(rewards.flat, dict(history=5), command_high=FORWARD),
-    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15), cells_per_m=1), command_high=FORWARD),
-    "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)), only_feet=True, torque_speed=True),
+    "flat": Task(rewards.flat, dict(history=5), dict(lam=0.005, iterations=4000), command_high=FORWARD),
+    "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15), cells_per_m=1),
+                  dict(lam=0.0002, iterations=4000), command_high=FORWARD),
+    "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)),
+                     dict(lam=0.0002, iterations=10_000, num_envs=128), only_feet=True, torque_speed=True),
     "curriculum": Task(rewards.curriculum, dict(history=5, roughness=(0.0, 0.05), motor_model=True, latency=6,
                        max_power=800.0, episode_steps=1000, command_steps=500, **RANDOMISED),
-                       only_feet=True, curriculum=True),
+                       dict(lam=0.005, iterations=10_000), only_feet=True, curriculum=True),
 }  # fmt: skip
 
 
@@ -73,7 +80,6 @@ class Config:
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
     cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
-    octaves: int = 1  # [lab code] of the Perlin noise (D22)
     ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
     tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
     friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
@@ -84,7 +90,7 @@ class Config:
     gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range added to gravity along each axis (there anew every 8 s)
     motor_model: bool = False  # [IV-A.4] a model of the real motors (D11), not an ideal PD controller
     latency: int = 0  # [lab code] physics steps until a target reaches the motors
-    max_power: float = 0.0  # [IV-A.4] W, more in one control step ends the episode (D17); 0: anything goes
+    max_power: float | None = None  # [IV-A.4] W, more in one control step ends the episode (D17); none: no limit
     reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]
     aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
@@ -94,36 +100,36 @@ def task_config(task="flat", **changes):
     """The Config of a task, with changes. Raises ValueError for an unknown task."""
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
-    return Config(**dict(task=task) | TASKS[task].settings | changes)
+    return Config(**dict(task=task) | TASKS[task].world | changes)
 
 
 MOST_FRICTION = 1.5  # MuJoCo's pyramidal contacts give way the more friction they have: test_no_foot_sinks_in
-MAY_BE_ZERO = ("threads", "noise", "clock_hz", "latency", "max_power", "ground_seed")
+MAY_BE_ZERO = ("noise", "clock_hz", "latency", "ground_seed")
 
 
-def check(num_envs, config, threads):
+def check(num_envs, env_cfg, threads):
     """Raise ValueError, in one line, for what no world can be built from."""
-    task_config(config.task)
+    task_config(env_cfg.task)
     for name, choices in dict(
         frame=("heading", "body"), clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")
     ).items():
-        if (x := getattr(config, name)) not in choices:
+        if (x := getattr(env_cfg, name)) not in choices:
             raise ValueError(f"{name} is {x!r}: it must be one of {', '.join(choices)}")
-    for name, x in (vars(config) | dict(num_envs=num_envs, threads=threads)).items():
+    for name, x in (vars(env_cfg) | dict(num_envs=num_envs, threads=threads)).items():
         if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
             raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
         least = 0 if name in MAY_BE_ZERO else 1 if isinstance(x, int) else 1e-9
-        if not isinstance(x, bool | str | tuple) and not least <= x < np.inf:
+        if not isinstance(x, bool | str | tuple | None) and not least <= x < np.inf:
             raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
     for name in ("friction", "roughness"):
-        if getattr(config, name)[0] < 0:
-            raise ValueError(f"{name} is {getattr(config, name)}: it must not be negative")
-    if config.friction[1] > MOST_FRICTION:
-        raise ValueError(f"friction is {config.friction}: above {MOST_FRICTION} the feet would sink into the ground")
-    if config.cells_per_m * 2.0 ** min(config.octaves - 1, 99) * terrain.SPACING > 0.5:
+        if getattr(env_cfg, name)[0] < 0:
+            raise ValueError(f"{name} is {getattr(env_cfg, name)}: it must not be negative")
+    if env_cfg.friction[1] > MOST_FRICTION:
+        raise ValueError(f"friction is {env_cfg.friction}: above {MOST_FRICTION} the feet would sink into the ground")
+    if env_cfg.cells_per_m * terrain.SPACING > 0.5:
         raise ValueError(
-            f"cells_per_m {config.cells_per_m} with octaves {config.octaves} is too fine for a ground of points"
-            f" {terrain.SPACING} m apart: cells_per_m * 2**(octaves - 1) can be {0.5 / terrain.SPACING:.0f} at most"
+            f"cells_per_m is {env_cfg.cells_per_m}: a ground of points {terrain.SPACING} m apart can show"
+            f" {0.5 / terrain.SPACING:.0f} cells per metre at most"
         )
-    if config.payload[0] <= -5:
-        raise ValueError(f"payload is {config.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")
+    if env_cfg.payload[0] <= -5:
+        raise ValueError(f"payload is {env_cfg.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")

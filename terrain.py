@@ -1,14 +1,12 @@
 """Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
 
 The paper says "Perlin noise" and how rough: 0 to 15 cm, 5 cm. Roughness is the height from the deepest to the highest
-point. One octave is the lab's, and 4 cells per metre, in the file of its EIPO code 1: see D22.
+point. The lab's code has 4 cells per metre, and 1 in the file of its EIPO code (D22).
 
 All robots share one height field, a row of square tiles with a roughness each. A tile is periodic: what leaves it on
 one side finds the same ground on the other, so a robot never runs off the world. Around a tile lies an apron of its own
 continuation, so that a foot which is past the edge while the trunk is not stands on the right ground as well.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -16,13 +14,6 @@ from scipy.ndimage import map_coordinates
 TILE, APRON = 4.0, 1.0  # m, side of a tile and width of its continuation on every side [ours]
 PITCH = TILE + 2 * APRON  # m, from one tile to the next
 SPACING = 0.05  # m, between two points of the height field [lab code]
-
-
-class Ground(NamedTuple):
-    """A height field whose first point lies at the origin, and the tiles in it, along x."""
-
-    heights: np.ndarray  # (ny, nx) [m], the point (i, j) lies at y = i SPACING, x = j SPACING
-    roughness: np.ndarray  # (tiles,) [m] of each tile
 
 
 def fade(t):
@@ -53,27 +44,21 @@ def perlin(x, y, gradients):
     return (1 - t) * ((1 - s) * corner(0, 0) + s * corner(1, 0)) + t * ((1 - s) * corner(0, 1) + s * corner(1, 1))
 
 
-def octaves_of_perlin(x, y, gradients):
-    """Sum of octaves, each with twice the frequency and half the amplitude of the one before: (...,) [-].
-
-    x, y: (...,) [cells of the first octave]; gradients: a lattice for each octave, twice as fine as the one before
-    """
-    return sum(perlin(2**k * x, 2**k * y, lattice) / 2**k for k, lattice in enumerate(gradients))
-
-
-def tile(rng, roughness, cells_per_m=4, octaves=1):
+def tile(rng, roughness, cells_per_m=4):
     """Heights (n, n) [m] of one period of ground, n = TILE / SPACING; roughness: [m] from lowest to highest point."""
-    gradients = [random_gradients(rng, round(TILE * cells_per_m) * 2**k) for k in range(octaves)]
+    gradients = random_gradients(rng, round(TILE * cells_per_m))
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
-    noise = octaves_of_perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
+    noise = perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
     return roughness * noise / np.ptp(noise)
 
 
-def make_ground(roughness, seed=0, cells_per_m=4, octaves=1):
-    """Ground with one tile for each roughness: (tiles,) [m]. Every tile has noise of its own."""
+def make_ground(roughness, seed=0, cells_per_m=4):
+    """The height field (ny, nx) [m] with a tile for each roughness, (tiles,) [m]; every tile has noise of its own.
+
+    The point (i, j) lies at y = i SPACING, x = j SPACING. The tiles follow each other along x.
+    """
     rng, margin = np.random.default_rng(seed), round(APRON / SPACING)
-    tiles = [np.pad(tile(rng, r, cells_per_m, octaves), margin, mode="wrap") for r in roughness]
-    return Ground(np.hstack(tiles), np.asarray(roughness, float))
+    return np.hstack([np.pad(tile(rng, r, cells_per_m), margin, mode="wrap") for r in roughness])
 
 
 def origin(index):
@@ -90,4 +75,4 @@ def wrap(xy, index):
 def height(ground, xy):
     """Height of the ground (...,) [m] at xy (..., 2) [m], linear between the points of the field."""
     flat = xy.reshape(-1, 2).T / SPACING
-    return map_coordinates(ground.heights, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])
+    return map_coordinates(ground, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])

@@ -14,6 +14,7 @@ import sys
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import get_args
 
 import eipo
 import go1_env
@@ -21,23 +22,14 @@ import networks
 import run_folder
 import tasks
 
-# What the paper sets per task: the first (EIPO) or only (PPO) lambda and the length of training [V-A, V-B, V-D]. And
-# fewer environments where there is nothing to stand still for [ours], see results/README.md
-TASKS = {
-    "flat": dict(lam=0.005, iterations=4000),
-    "rough": dict(lam=0.0002, iterations=4000),
-    "velocity": dict(lam=0.0002, iterations=10_000, num_envs=128),
-    "curriculum": dict(lam=0.005, iterations=10_000),  # [V-E], [ours]
-}
-
 
 @dataclass(frozen=True)
 class Options:
     """How to run: none of these changes what is learned."""
 
-    out: str = ""  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>-seed<seed>
+    out: str | None = None  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>-seed<seed>
     resume: bool = False  # [ours] continue the run in that folder; --iterations may be raised, nothing else changed
-    threads: int = 0  # [ours] threads that step the physics; 0 takes every core
+    threads: int | None = None  # [ours] threads that step the physics; by default one for every core
     checkpoint_every: int = 50  # [ours] iterations between two checkpoints
 
 
@@ -52,6 +44,22 @@ def describe(config):
     return dict(re.findall(r"^    (\w+): .*?  # (.*)$", inspect.getsource(config), re.M))
 
 
+def kind_of(field):
+    """How argparse reads a field of a config dataclass, by its annotation; "none" is None where that is allowed."""
+    if field.type is bool:
+        return dict(action=argparse.BooleanOptionalAction)
+    if field.type is tuple:
+        return dict(nargs="+", type=type(field.default[0]))
+    if not (kinds := get_args(field.type)):  # of `float | None`: both
+        return dict(type=field.type)
+
+    def read(text):
+        return None if text == "none" else kinds[0](text)
+
+    read.__name__ = kinds[0].__name__  # which argparse names where it cannot read
+    return dict(type=read)
+
+
 def parse(argv):
     """The flags that were given: one dict of fields for each of CONFIGS."""
     usage = "train.py [--task flat] [--algo eipo|ppo] [--out DIR] [--resume] [--FIELD VALUE ...]"
@@ -62,92 +70,85 @@ def parse(argv):
     for config in CONFIGS:
         comments = describe(config)
         for field in fields(config):
-            kind = dict(type=field.type)
-            if field.type is bool:
-                kind = dict(action=argparse.BooleanOptionalAction)
-            if field.type == float | None:
-                kind = dict(type=float)
-            if field.type is tuple:
-                kind = dict(nargs="+", type=type(field.default[0]))
-            paper = {task: tasks.TASKS[task].settings | TASKS[task] for task in TASKS}
-            by_task = [f"{task} {x[field.name]}" for task, x in paper.items() if field.name in x]
-            default = [] if len(by_task) == len(TASKS) else [str(field.default)]
+            paper = {name: task.world | task.learner for name, task in tasks.TASKS.items()}
+            by_task = [f"{name} {x[field.name]}" for name, x in paper.items() if field.name in x]
+            default = [] if len(by_task) == len(paper) else [str(field.default).lower()]
             text = f"{comments[field.name]} (default: {', '.join(default + by_task)})".replace("%", "%%")
-            parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind)
+            parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind_of(field))
     given = run_folder.tuples(vars(parser.parse_args(argv)))
     return [{f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS]
 
 
 def settle(given_env, given_learner):
     """Defaults, then what the paper sets for the task, then what was given: tasks.Config and eipo.Config."""
-    env_config = tasks.task_config(**given_env)
-    return env_config, eipo.Config(**TASKS[env_config.task] | given_learner)
+    env_cfg = tasks.task_config(**given_env)
+    return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
 
 def settle_resumed(folder, given_env, given_learner):
     """The Configs of the run in folder, with --iterations raised if that was given."""
-    saved_env, saved = run_folder.load_config(folder)
+    env_cfg, cfg = run_folder.load_config(folder)
     for name, x in (given_env | given_learner).items():
-        was = (asdict(saved_env) | asdict(saved))[name]
+        was = (asdict(env_cfg) | asdict(cfg))[name]
         if x != was and not (name == "iterations" and x > was):
             flag = "--" + name.replace("_", "-")
             raise ValueError(f"{folder} runs with {flag} {was}, not {x}: --resume can only raise --iterations")
-    return saved_env, replace(saved, iterations=given_learner.get("iterations", saved.iterations))
+    return env_cfg, replace(cfg, iterations=given_learner.get("iterations", cfg.iterations))
 
 
 # ---- the run ----
 
 
-def run_path(options, env_config, config):
+def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name that tells the settings."""
-    variant = "".join(f"-{x}" for x in (env_config.aux, env_config.reward) if x in ("smooth", "shaped"))
-    return Path(options.out or f"runs/{env_config.task}-{config.algo}-lam{config.lam:g}{variant}-seed{config.seed}")
+    variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
+    return Path(options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}")
 
 
 def prepare(options, given_env, given_learner):
     """Make the run folder, or check that what it holds fits; returns folder, tasks.Config, eipo.Config."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
-    env_config, config = settle(given_env, given_learner)
-    folder = run_path(options, env_config, config)
+    env_cfg, cfg = settle(given_env, given_learner)
+    folder = run_path(options, env_cfg, cfg)
     if options.resume:
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
-        env_config, config = settle_resumed(folder, given_env, given_learner)
+        env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
     elif (folder / "checkpoint.npz").exists():
         raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
-    eipo.check(config)
-    tasks.check(config.num_envs, env_config, options.threads)
+    eipo.check(cfg)
+    tasks.check(cfg.num_envs, env_cfg, options.threads)
     folder.mkdir(parents=True, exist_ok=True)
-    return folder, env_config, config
+    return folder, env_cfg, cfg
 
 
 def save(folder, state, envs, params):
     """A checkpoint, and what a reader of the run folder wants to see beside it; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
-    run_folder.save_policy(folder / "policy.npz", params, envs[0].config)
+    run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
     run_folder.draw_curves(folder)
     if envs[0].task.curriculum:
-        run_folder.draw_commands(folder, envs[0].weights)
+        run_folder.draw_commands(folder, envs[0].state.weights)
 
 
-def train(folder, env_config, config, options, argv, asked):
+def train(folder, env_cfg, cfg, options, argv, asked):
     """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
-    policies = 2 if config.algo == "eipo" else 1
-    envs = [go1_env.Go1Env(config.num_envs // policies, env_config, options.threads) for _ in range(policies)]
+    policies = 2 if cfg.algo == "eipo" else 1
+    envs = [go1_env.Go1Env(cfg.num_envs // policies, env_cfg, options.threads) for _ in range(policies)]
     if policies == 2:
-        envs[1].weights = envs[0].weights  # one curriculum, or J(pi) and J(pi') would be of different commands
-    env, env_prime = (*(networks.EvenOdd(env, config.mirror) for env in envs), None)[:2]
-    state = eipo.init_state(env, env_prime, config)  # also the template of a saved one
+        envs[1].state.weights = envs[0].state.weights  # one curriculum, or J(pi), J(pi') would be of other commands
+    env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
+    state = eipo.init_state(env, env_prime, cfg)  # also the template of a saved one
     if options.resume:
         state = run_folder.load_checkpoint(folder / "checkpoint.npz", state, envs)
-    log = run_folder.Log(folder, state.iteration, config.iterations)
-    run_folder.save_config(folder, env_config, config, argv, options.resume)
-    print(f"{folder}: {config.algo} on {env_config.task}, {config.num_envs} environments. Compiling (once, ~15 s) ...")
-    run = eipo.eipo(env, env_prime, config, state) if policies == 2 else eipo.ppo(env, config, state)
+    log = run_folder.Log(folder, state.iteration, cfg.iterations)
+    run_folder.save_config(folder, env_cfg, cfg, argv, options.resume)
+    print(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
+    run = eipo.eipo(env, env_prime, cfg, state) if policies == 2 else eipo.ppo(env, cfg, state)
     for state, metrics in run:
         log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
-        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == config.iterations:
+        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
             save(folder, state, envs, env.dense(state.pi.params))
         if asked:
             break
@@ -176,16 +177,16 @@ def main(argv):
     given_options, given_env, given_learner = parse(argv)
     options = Options(**given_options)
     try:
-        folder, env_config, config = prepare(options, given_env, given_learner)
+        folder, env_cfg, cfg = prepare(options, given_env, given_learner)
         with stop_at_boundary() as asked:
-            done = train(folder, env_config, config, options, argv, asked)
+            done = train(folder, env_cfg, cfg, options, argv, asked)
     except KeyboardInterrupt:
         print("\nStopped at once; --resume goes on from the last checkpoint", file=sys.stderr)
         return 130
     except (ValueError, OSError) as error:
         print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    if done < config.iterations:
+    if done < cfg.iterations:
         again = shlex.join(["python", "train.py", "--out", str(folder), "--resume"])
         print(f"\nStopped after iteration {done}. Continue with: {again}")
         return 130

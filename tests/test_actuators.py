@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import actuators
+import go1
 
 REST = np.zeros(12)
 URDF_TORQUE = [23.7, 23.7, 35.55] * 4  # N m, hip, thigh, calf
@@ -15,7 +15,7 @@ URDF_TORQUE = [23.7, 23.7, 35.55] * 4  # N m, hip, thigh, calf
 )
 def test_pd(target, q, qd, torque):
     """20 (1/2 - 1/4) = 5; -0.5 * 2 = -1; both 4; 20 (-1 - 1/2) + 0.5 * 4 = -28, beyond the limit and not cut here."""
-    assert actuators.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
+    assert go1.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
 
 
 @pytest.mark.parametrize(
@@ -25,12 +25,12 @@ def test_pd(target, q, qd, torque):
 def test_torque_speed_limit(speed, limit):
     """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed one is -33."""
     qd = speed * np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF
-    assert actuators.torque_speed_limit(qd) == pytest.approx([limit] * 12, rel=1e-14)
+    assert go1.torque_speed_limit(qd) == pytest.approx([limit] * 12, rel=1e-14)
 
 
 def test_torque_speed_limit_takes_the_speed_of_each_joint():
     """qd = 15 of qd_max = 20, 30 and 60 rad/s: 33/4 = 8.25, 33/2 = 16.5 and 33 * 3/4 = 24.75."""
-    limit = actuators.torque_speed_limit(np.full(3, 15.0), np.array([20.0, 30.0, 60.0]))
+    limit = go1.torque_speed_limit(np.full(3, 15.0), np.array([20.0, 30.0, 60.0]))
     assert limit.tolist() == [8.25, 16.5, 24.75]
 
 
@@ -38,7 +38,7 @@ def test_torque_speed_limit_takes_the_speed_of_each_joint():
 @pytest.mark.parametrize("speed", [0, -1, 3])
 def test_urdf_limit(sign, speed):
     """By default the URDF's torques hold, both ways and at any speed."""
-    limited = actuators.limit_torque(np.full(12, sign * 100.0), np.full(12, speed * 30.0))
+    limited = go1.limit_torque(np.full(12, sign * 100.0), np.full(12, speed * 30.0))
     assert limited.tolist() == [sign * torque for torque in URDF_TORQUE]
 
 
@@ -49,7 +49,7 @@ def test_urdf_limit(sign, speed):
 def test_both_limits(sign, speed, hip, calf):
     """The smaller one: min(33, 23.7) and min(33, 35.55); 33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33."""
     qd = speed * np.array([30.1, 30.1, 20.06] * 4)
-    limited = actuators.limit_torque(np.full(12, sign * 100.0), qd, torque_speed=True)
+    limited = go1.limit_torque(np.full(12, sign * 100.0), qd, torque_speed=True)
     assert limited == pytest.approx([sign * hip, sign * hip, sign * calf] * 4, rel=1e-14)
 
 
@@ -57,19 +57,19 @@ def test_both_limits(sign, speed, hip, calf):
 def test_small_torques_pass(torque_speed):
     """Below its limits a motor gives what the controller asks for, bit for bit."""
     torque = np.linspace(-20, 20, 12)
-    assert actuators.limit_torque(torque, REST, torque_speed).tolist() == torque.tolist()
+    assert go1.limit_torque(torque, REST, torque_speed).tolist() == torque.tolist()
 
 
 def test_leading_shape():
     """The environments step as one array: an entry of the result must not depend on the others."""
     target, q, qd = np.random.default_rng(0).normal(size=(3, 2, 5, 12)) * 10
-    torque = actuators.limit_torque(actuators.pd_torque(target, q, qd), qd, torque_speed=True)
+    torque = go1.limit_torque(go1.pd_torque(target, q, qd), qd, torque_speed=True)
     assert torque.shape == (2, 5, 12)
     for i in np.ndindex(2, 5):
-        alone = actuators.limit_torque(actuators.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
+        alone = go1.limit_torque(go1.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
         assert torque[i].tolist() == alone.tolist()
 
 
 def test_motor_model():
     """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
-    assert actuators.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))
+    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))

@@ -29,11 +29,6 @@ def test_eq09_mechanical_upper_bound(clip, power):
     assert energy.mechanical_power(joints(2e4), joints(2.0), clip) == power
 
 
-def test_eq09_mechanical_defaults_to_the_torque_clip():
-    """tau = -5, qd = 2, no clip named: (-3)*2 = -6, as printed."""
-    assert energy.mechanical_power(joints(-5.0), joints(2.0)) == -6.0
-
-
 def test_eq09_heating():
     """tau = (1/2, 1), g = (2, 3): tau * g = (1, 3), 0.7 (1 + 9) = 7. (tau / g would give 0.7 (1/16 + 1/9).)"""
     assert energy.heating_power(np.array([0.5, 1.0]), np.array([2.0, 3.0])) == 7.0
@@ -62,7 +57,7 @@ def test_eq09_survival_bonus(clip, cost):
 
 def test_eq09_idle_robot():
     """No torque: the electronics' 42 W are left, and a cost of 42 - 200 = -158, so that living on pays."""
-    idle = np.zeros(12), np.full(12, 7.0)
+    idle = np.zeros(12), np.full(12, 7.0), "power"
     assert (energy.total_power(*idle), energy.energy_cost(*idle)) == (42.0, -158.0)
 
 
@@ -89,13 +84,13 @@ def test_eq11_smoothness(torque, action, qdd, cost):
 
 
 @pytest.mark.parametrize(
-    ("function", "arguments"),
-    [(energy.mechanical_power, 2), (energy.heating_power, 1), (energy.total_power, 2), (energy.energy_cost, 2),
-     (energy.smoothness_cost, 3)],
+    ("function", "arguments", "clip"),
+    [(energy.mechanical_power, 2, ["torque"]), (energy.mechanical_power, 2, ["power"]), (energy.heating_power, 1, []),
+     (energy.total_power, 2, ["power"]), (energy.energy_cost, 2, ["power"]), (energy.smoothness_cost, 3, [])],
 )  # fmt: skip
-def test_leading_shape(function, arguments):
+def test_leading_shape(function, arguments, clip):
     """Rollouts are (T, N, 12): an entry of the result must not depend on the others."""
     x = np.random.default_rng(0).normal(size=(arguments, 2, 3, 12)) * 10
-    result = function(*x)
+    result = function(*x, *clip)
     assert result.shape == (2, 3)
-    assert all(result[i] == function(*(part[i] for part in x)) for i in np.ndindex(2, 3))
+    assert all(result[i] == function(*(part[i] for part in x), *clip) for i in np.ndindex(2, 3))

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -32,12 +33,12 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estima
 
 def make_run(folder, task, algo="eipo", lam=0.005, seed=0):
     """What training leaves for evaluate.py to read, without training."""
-    env_config = tasks.task_config(task, history=2, tiles=2)
-    config = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, config)
+    env_cfg = tasks.task_config(task, history=2, tiles=2)
+    cfg = eipo.Config(algo=algo, lam=lam, seed=seed, hidden=(8,), hidden_estimator=(8,))
+    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, cfg)
     folder.mkdir()
-    run_folder.save_config(folder, env_config, config, [])
-    run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
+    run_folder.save_config(folder, env_cfg, cfg, [])
+    run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
     return str(folder)
 
 
@@ -230,9 +231,9 @@ def test_fig6_by_hand(runs, monkeypatch, tmp_path):
         for t in range(1, 35):
             yield np.zeros(2), dict(v_x=np.array([t, t + 1.0])), np.array([True, t <= 10]), np.array([False, t == 10])
 
-    loaded = []
+    loaded, env = [], SimpleNamespace(period=0.02, env_cfg=tasks.task_config("velocity"))
     monkeypatch.setattr(
-        measure, "load", lambda *arguments: loaded.append((str(arguments[0]), *arguments[1:])) or ("mean", "env")
+        measure, "load", lambda *arguments: loaded.append((str(arguments[0]), *arguments[1:])) or ("policy", env)
     )
     monkeypatch.setattr(measure, "steps", steps)
     argv = ["fig6", runs["velocity"], "--episodes", "2", "--clip", "torque", "--roughness", "0.08"]
@@ -323,8 +324,8 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch, capsys):
     monkeypatch.setattr(measure, "run_episodes", run_episodes)
     assert evaluate.main([runs["rough"], "--clip", "torque", "--roughness", "0.03", "--episodes", "3"]) == 0
     (env,) = seen
-    assert (env.config.clip, env.config.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
-    assert np.ptp(env.ground.heights[:, : env.ground.heights.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
+    assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
+    assert np.ptp(env.ground[:, : env.ground.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
 
 
 def test_the_line_of_a_run_by_hand(runs, monkeypatch, capsys):
@@ -349,8 +350,8 @@ def test_the_same_kind_and_seed_twice_is_one_line(runs, tmp_path, capsys):
 
 def test_runs_that_differ_in_more_than_the_seed_are_one_line(runs, tmp_path, capsys):
     """Other settings are another experiment, which must not be pooled."""
-    config = run_folder.load_config(Path(runs["flat_1"]))
-    run_folder.save_config(tmp_path, replace(config[0], history=3), config[1], [])
+    env_cfg, cfg = run_folder.load_config(Path(runs["flat_1"]))
+    run_folder.save_config(tmp_path, replace(env_cfg, history=3), cfg, [])
     assert "history" in error_of(capsys, "fig2", runs["flat"], tmp_path)
 
 
@@ -431,11 +432,11 @@ def settled(line):
     """Task, algo, lambda, seed and run folder of a line, which has to be one that train.py accepts."""
     python, script, *argv = shlex.split(line)
     assert (python, script) == ("python", "train.py")
-    options, env_config, config = train.parse(argv)
-    env_config, config = train.settle(env_config, config)
-    train.check(config)
-    folder = str(train.run_path(train.Options(**options), env_config, config))
-    return env_config.task, config.algo, config.lam, config.seed, folder
+    options, *given = train.parse(argv)
+    env_cfg, cfg = train.settle(*given)
+    eipo.check(cfg)
+    folder = str(train.run_path(train.Options(**options), env_cfg, cfg))
+    return env_cfg.task, cfg.algo, cfg.lam, cfg.seed, folder
 
 
 def test_table1_takes_thirty_runs(sweep):
@@ -470,8 +471,8 @@ def test_runs_of_the_figures(sweep, what, kinds):
 
 def fake_run(line, iterations, checkpoint=True):
     """What the run of a line leaves that has got so far: settings, a row per iteration, a checkpoint; its folder."""
-    options, env_config, config = train.parse(shlex.split(line)[2:])
-    settings = train.settle(env_config, config)
+    options, *given = train.parse(shlex.split(line)[2:])
+    settings = train.settle(*given)
     folder = train.run_path(train.Options(**options), *settings)
     folder.mkdir(parents=True)
     run_folder.save_config(folder, *settings, [])
@@ -493,7 +494,7 @@ def test_a_finished_run_is_resumed_for_more_iterations(sweep):
     """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
     folder = fake_run(sweep("fig2")[-1], 3999)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("\n" * 4001)
+    (folder / "metrics.csv").write_text("iteration\n" + "0\n" * 4000)
     assert len(sweep("fig2")) == 8
     assert sweep("fig2", "--iterations", "4001")[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
 
@@ -514,8 +515,8 @@ def test_a_run_killed_before_its_first_checkpoint_can_be_started(sweep):
     """It has rows of metrics and nothing to resume; whatever its line is, train.py must accept it."""
     fake_run(sweep("fig2")[0], 30, checkpoint=False)
     argv = shlex.split(sweep("fig2")[0])[2:]
-    options, env_config, config = train.parse(argv)
-    train.prepare(train.Options(**options), env_config, config)
+    options, *given = train.parse(argv)
+    train.prepare(train.Options(**options), *given)
 
 
 def test_flags_pass_through(sweep):

@@ -17,7 +17,7 @@ class Scripted:
     number of the robot plus 1; reward 0.5, after robot 1's fall still, because the next episode has begun.
     """
 
-    num_envs, config = 3, SimpleNamespace(episode_steps=20)
+    num_envs, env_cfg = 3, SimpleNamespace(episode_steps=20)
 
     def reset(self, seed, command=None):
         self.t = 0

@@ -72,10 +72,10 @@ def test_mirror_of_an_observation():
     env = make(2, timestep=1e-9, clock_hz=5e6)
     rng = np.random.default_rng(1)
     qpos = np.concatenate([[0, 0, 1.0], [0.9, 0.3, -0.3, 0.1], NOMINAL + 0.1 * rng.normal(size=12)])
-    (env.qpos[0], env.qvel[0]), env.command[0] = (qpos, rng.normal(size=18)), (0.5, 0.25, 1.0)
+    (env.qpos[0], env.qvel[0]), env.state.command[0] = (qpos, rng.normal(size=18)), (0.5, 0.25, 1.0)
     env.qpos[1], env.qvel[1] = mirrored(env.qpos[0], env.qvel[0])
-    env.command[1] = 0.5, -0.25, -1.0
-    env.age[:] = 0, 25
+    env.state.command[1] = 0.5, -0.25, -1.0
+    env.state.age[:] = 0, 25
     action = rng.normal(size=12)
     for _ in range(5):
         obs, reward, _, _, info = env.step(np.stack([action, action @ env.mirror["action"]]))

@@ -25,7 +25,6 @@ import go1_env
 import networks
 import play
 import run_folder
-import scene
 import tasks
 import terrain
 import train
@@ -42,15 +41,15 @@ needs_gl = pytest.mark.skipif(
 
 def make_run(folder, task, seed=0, action=None):
     """A run folder that holds an untrained policy; action: what it answers to everything, if not what it likes."""
-    env_config = tasks.task_config(task, history=2)
-    config = eipo.Config(hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, config)
+    env_cfg = tasks.task_config(task, history=2)
+    cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,))
+    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, cfg)
     if action is not None:
         last = learner.params["actor"]["layers"][-1]
         last = last._replace(even=jnp.zeros_like(last.even), bias=jnp.full_like(last.bias, action))
         learner.params["actor"]["layers"][-1] = last
     folder.mkdir(exist_ok=True)
-    run_folder.save_policy(folder / "policy.npz", learner.params, env_config)
+    run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
     return folder
 
 
@@ -74,9 +73,9 @@ def error_of(capsys, *argv):
 def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
     """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
-    params, config = run_folder.load_policy(runs["velocity"] / "policy.npz")
+    params, env_cfg = run_folder.load_policy(runs["velocity"] / "policy.npz")
     params["actor"]["layers"][-1] = jax.tree.map(lambda x: 40 * x, params["actor"]["layers"][-1])
-    run_folder.save_policy(tmp_path / "policy.npz", params, config)
+    run_folder.save_policy(tmp_path / "policy.npz", params, env_cfg)
     section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.S)
     monkeypatch.chdir(tmp_path)
@@ -97,9 +96,9 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
 def test_what_the_other_side_needs_is_in_the_file(runs):
     """README: torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, policy 50 times."""
     arrays = run_folder.read_npz(runs["flat"] / "policy.npz")
-    config = run_folder.load_policy(runs["flat"] / "policy.npz")[1]
+    env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")[1]
     assert (arrays["kp"], arrays["kd"]) == (20.0, 0.5)
-    assert (1 / config.timestep, config.physics_steps) == (200.0, 4)
+    assert (1 / env_cfg.timestep, env_cfg.physics_steps) == (200.0, 4)
 
 
 def test_training_loads_nothing_to_look_at_it():
@@ -188,7 +187,7 @@ def test_a_gif_without_frames_or_without_end_is_one_line(runs, tmp_path, capsys,
 
 @pytest.mark.parametrize("name", ["none/a.gif", "a.png"])
 def test_a_gif_that_cannot_be_written_is_one_line_before_anything_is_drawn(runs, tmp_path, capsys, monkeypatch, name):
-    monkeypatch.setattr(scene, "make_scene", None)
+    monkeypatch.setattr(play, "make_scene", None)
     assert name in error_of(capsys, runs["flat"], "--gif", tmp_path / name)
 
 
@@ -209,26 +208,26 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, t
     monkeypatch.setattr(play, "watch", lambda env, steps, asked: seen.append((next(steps), env, asked)))
     assert play.main([str(runs[task]), *argv]) == 0
     ((log, env, asked),) = seen
-    assert asked.tolist() == command and env.command.tolist() == [command] and log["command_x"] == command[:1]
+    assert asked.tolist() == command and env.state.command.tolist() == [command] and log["command_x"] == command[:1]
 
 
 @pytest.mark.parametrize("task, asked, height", [("rough", None, 0.15), ("velocity", None, 0.05), ("flat", None, 0),
                                                  ("rough", 0.03, 0.03), ("flat", 0.1, 0.1)])  # fmt: skip
 def test_the_ground_is_the_runs_roughest_or_the_given_one(runs, task, asked, height):
     """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point; the episode does not end by time."""
-    env = scene.make_env(run_folder.load_policy(runs[task] / "policy.npz")[1], asked)
+    env = play.make_env(run_folder.load_policy(runs[task] / "policy.npz")[1], asked)
     assert (env.ground is None) == (height == 0)
-    assert env.ground is None or np.ptp(env.ground.heights) == pytest.approx(height)
-    assert env.num_envs == 1 and env.config.episode_steps >= 10**9 and not env.config.stagger
+    assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
+    assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
 
 
 @pytest.mark.parametrize("follow, then", [(True, 1.5), (False, 0.5)])
 def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then):
     """The first policy answers 0.5 to everything, the one that replaces it 1.5."""
     make_run(tmp_path, "flat", action=0.5)
-    env, seen = scene.make_env(run_folder.load_policy(tmp_path / "policy.npz")[1]), []
+    env, seen = play.make_env(run_folder.load_policy(tmp_path / "policy.npz")[1]), []
     for i, _ in zip(range(4), play.play(env, tmp_path, np.zeros(3), follow), strict=False):
-        seen.append(env.action.copy())
+        seen.append(env.state.action.copy())
         if i == 1:
             make_run(tmp_path, "flat", action=1.5)
             later = (tmp_path / "policy.npz").stat().st_mtime + 1  # the clock of a file system may be coarse
@@ -238,13 +237,13 @@ def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then)
 
 def test_the_command_may_change_on_the_way(runs):
     """What the arrow keys do: from the next observation on it is another command. Scale 2 [lab code], no noise."""
-    env, command = scene.make_env(run_folder.load_policy(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
+    env, command = play.make_env(run_folder.load_policy(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
     steps = play.play(env, runs["flat"], command)
     next(steps)
-    assert env.frames[0, :, 3].tolist() == [1.0, 1.0]
+    assert env.state.frames[0, :, 3].tolist() == [1.0, 1.0]
     command[0] = 0.75
     next(steps)
-    assert env.frames[0, :, 3].tolist() == [1.0, 1.5]
+    assert env.state.frames[0, :, 3].tolist() == [1.0, 1.5]
 
 
 # ---- the viewer ----
@@ -286,7 +285,7 @@ def watch(monkeypatch, env, keys, command):
 
 @pytest.fixture
 def env():
-    env = scene.make_env(tasks.task_config("flat"))
+    env = play.make_env(tasks.task_config("flat"))
     env.reset(0)
     return env
 
@@ -335,17 +334,17 @@ def test_the_camera_looks_from_the_front_right(env, yaw, azimuth):
     """MuJoCo's azimuth is the direction of sight: with a heading of 0 along x, 125 degrees looks to back and left."""
     env.qpos[0, 3:7] = np.cos(np.radians(yaw) / 2), 0, 0, np.sin(np.radians(yaw) / 2)
     camera = mujoco.MjvCamera()
-    scene.point(camera, env, scene.make_scene(env)[0])
+    play.point(camera, env, play.make_scene(env)[0])
     assert camera.azimuth == pytest.approx(azimuth) and camera.elevation < 0
 
 
 LOUD = """
-import os, sys, play, scene
-show = scene.show
+import os, sys, play
+show = play.show
 def loud(*a):
     show(*a)
     print("shown", flush=True)
-scene.show = loud
+play.show = loud
 print("returned", play.main(sys.argv[1:]), flush=True)
 os._exit(0)  # at exit GLFW and Mesa's software renderer may wait for each other forever
 """
@@ -387,9 +386,9 @@ def drawn_ground(model, data, xy):
 @pytest.fixture(scope="module")
 def hills():
     """An environment on 15 cm, and its drawing: env, model, data."""
-    env = scene.make_env(tasks.task_config("rough"))
+    env = play.make_env(tasks.task_config("rough"))
     env.reset(0)
-    return env, *scene.make_scene(env)
+    return env, *play.make_scene(env)
 
 
 def test_the_drawn_robot_stands_on_the_drawn_ground_as_the_simulated_one(hills):
@@ -398,7 +397,7 @@ def test_the_drawn_robot_stands_on_the_drawn_ground_as_the_simulated_one(hills):
     rng = np.random.default_rng(0)
     for corner in rng.integers(80, size=(30, 2)) * 0.05:
         env.qpos[0, :2] = terrain.origin(0) + corner + 1e-6
-        scene.show(env, model, data)
+        play.show(env, model, data)
         real = terrain.height(env.ground, env.qpos[0, :2])
         assert drawn_ground(model, data, data.qpos[:2]) == pytest.approx(real, abs=1e-4)
         assert data.body("trunk").xpos[2] == env.qpos[0, 2]
@@ -409,7 +408,7 @@ def test_at_the_edge_of_its_tile_there_is_ground_on_all_sides(hills, corner):
     """Ten metres in every direction, and it is the ground on which the robot will find itself there: the tile's own."""
     env, model, data = hills
     env.qpos[0, :2] = terrain.origin(0) + np.clip(corner, 0.05, 3.95)
-    scene.show(env, model, data)
+    play.show(env, model, data)
     for way in np.array([(x, y) for x in (-10, -2.3, 0, 0.1, 10) for y in (-10, 0, 1.5, 10)]):
         real = terrain.height(env.ground, terrain.wrap(env.qpos[0, :2] + way + 1e-6, np.array(0)))
         assert drawn_ground(model, data, data.qpos[:2] + way + 1e-6) == pytest.approx(real, abs=1e-4)
@@ -417,7 +416,7 @@ def test_at_the_edge_of_its_tile_there_is_ground_on_all_sides(hills, corner):
 
 def test_a_plane_needs_no_shift(env):
     """On flat ground the robot is drawn where it is."""
-    model, data = scene.make_scene(env)
+    model, data = play.make_scene(env)
     env.qpos[0, :2] = 123.0, -45.0
-    scene.show(env, model, data)
+    play.show(env, model, data)
     assert data.qpos[:2].tolist() == [123.0, -45.0]

@@ -139,10 +139,10 @@ def test_resuming_a_run_of_an_older_version_keeps_how_it_was_started(tmp_path):
 )
 def test_paper_settings_of_each_task(task, history, lam, iterations):
     """V-A, V-B, V-D: H, the first lambda and the length of training; whatever is given wins, the rest stays."""
-    env_config, config = train.settle(dict(task=task), {})
-    assert (env_config.task, env_config.history, config.lam, config.iterations) == (task, history, lam, iterations)
-    env_config, config = train.settle(dict(task=task, history=3), dict(lam=0.5))
-    assert (env_config.task, env_config.history, config.lam, config.iterations) == (task, 3, 0.5, iterations)
+    env_cfg, cfg = train.settle(dict(task=task), {})
+    assert (env_cfg.task, env_cfg.history, cfg.lam, cfg.iterations) == (task, history, lam, iterations)
+    env_cfg, cfg = train.settle(dict(task=task, history=3), dict(lam=0.5))
+    assert (env_cfg.task, env_cfg.history, cfg.lam, cfg.iterations) == (task, 3, 0.5, iterations)
 
 
 def test_threads_do_not_change_the_numbers(finished, tmp_path):
@@ -185,12 +185,21 @@ def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, fl
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("flags", [["--num-envs", "many"], ["--speed", "3"], ["--iter", "2"], ["--lr"]])
+@pytest.mark.parametrize(
+    "flags", [["--num-envs", "many"], ["--threads", "many"], ["--speed", "3"], ["--iter", "2"], ["--lr"]]
+)
 def test_flags_that_do_not_parse_are_one_line(capsys, flags):
     with pytest.raises(SystemExit, match="2"):
         train.main(flags)
     (line,) = capsys.readouterr().err.splitlines()
     assert flags[0] in line
+
+
+def test_none_switches_off_what_a_task_sets():
+    """IV-A.4: the curriculum ends an episode at 800 W, unless told otherwise."""
+    limits = [train.settle(*train.parse(["--task", "curriculum", *flags])[1:])[0].max_power
+              for flags in ([], ["--max-power", "none"], ["--max-power", "700"])]  # fmt: skip
+    assert limits == [800.0, None, 700.0]
 
 
 def test_a_run_is_never_overwritten(finished, capsys):
@@ -262,8 +271,8 @@ def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
 
 def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys):
     """An untrained policy scores between nothing and everything; what is no run folder is one line."""
-    params, config = run_folder.load_policy(finished / "policy.npz")
-    assert config.history == 2 and params["actor"]["layers"][0][0].shape == (91, 8)
+    params, env_cfg = run_folder.load_policy(finished / "policy.npz")
+    assert env_cfg.history == 2 and params["actor"]["layers"][0][0].shape == (91, 8)
     assert evaluate.main([str(finished), "--episodes", "2", "--clip", "power"]) == 0
     header, _, row = capsys.readouterr().out.splitlines()
     assert header.count("|") == row.count("|") == 7 and 0 < float(row.split("|")[2]) < 1.5
@@ -278,7 +287,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
     assert run("--task", "curriculum", "--out", tmp_path / "run") == 0
     env, env_prime = made
-    env_prime.cell[:], env_prime.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
+    env_prime.state.cell[:], env_prime.state.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
     env_prime._draw_commands(np.array([0]))
-    assert env.weights[4, 22] == pytest.approx(0.2)
+    assert env.state.weights[4, 22] == pytest.approx(0.2)
     assert (tmp_path / "run" / "commands.png").stat().st_size > 1000

@@ -74,7 +74,7 @@ def test_velocity_over_ground(frame, expected):
     turned = Rotation.from_euler("ZY", [90, -30], degrees=True)
     place(env, quaternion=turned.as_quat(scalar_first=True), velocity=(-0.5, 1.0, 0.0))
     env.qvel[:, 3:6] = turned.apply([0.0, 0.0, 0.25], inverse=True)
-    assert env._tracked_velocity(frame)[0] == pytest.approx(expected, abs=1e-6)
+    assert env.tracked_velocity(frame)[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_pitched_robot_is_rewarded_for_what_it_covers():
@@ -88,6 +88,6 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers():
         place(
             env, quaternion=Rotation.from_euler("Y", -60, degrees=True).as_quat(scalar_first=True), velocity=(1, 0, 0)
         )
-        env.command[:] = 1.0, 0.0, 0.0
+        env.state.command[:] = 1.0, 0.0, 0.0
         rewards.append(still(env)[1][0])
     assert rewards == pytest.approx([1.5, 0.5 + np.exp(-1)], abs=1e-4)

@@ -1,0 +1,78 @@
+"""The shaped reward of reference [5], a baseline of Section V-E: tracking and ten things that a gait should not do.
+
+Terms and weights are the lab's [lab code]. `train.py --reward shaped` puts `reward` in the place of the task reward.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+import rewards
+import terrain
+
+WEIGHTS = dict(linear=1.0, angular=0.5, v_z=-2.0, roll_pitch_rate=-0.05, tilt=-5.0, torque=-1e-4, qdd=-2.5e-7,
+              height=-30.0, air_time=1.0, collisions=-1.0, action_change=-0.01, joint_limits=-10.0)  # fmt: skip
+HEIGHT = 0.34  # m, of the trunk above the ground
+SOFT_LIMIT = 0.9  # of a joint's range; going beyond costs
+LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: thighs, calves; feet
+
+
+class Motion(NamedTuple):
+    """What the shaped reward looks at, any leading batch shape."""
+
+    velocity: np.ndarray  # (..., 3) v_x, v_y [m/s] and yaw rate [rad/s], as for the task reward
+    command: np.ndarray  # (..., 3) the same, as asked for
+    v_z: np.ndarray  # (...,) [m/s] body velocity upwards
+    roll_pitch_rate: np.ndarray  # (..., 2) [rad/s]
+    gravity: np.ndarray  # (..., 3) [-] unit vector down, in the body frame
+    torque: np.ndarray  # (..., 12) [N m]
+    qdd: np.ndarray  # (..., 12) [rad/s^2]
+    height: np.ndarray  # (...,) [m] of the trunk above the ground
+    landed: np.ndarray  # (..., 4) [s] see `landings`
+    collisions: np.ndarray  # (...,) [-] parts of the legs on the ground, feet apart
+    action_change: np.ndarray  # (..., 12) [-] since the last step
+    q: np.ndarray  # (..., 12) [rad]
+    joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits
+
+
+def observe(env, velocity, action_before, qd_before):
+    """Motion of the robots of a Go1Env after its physics; before: action and qd [rad/s], (N, 12), a step ago."""
+    ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
+    return Motion(
+        velocity=velocity, command=env.state.command, v_z=env.body_velocity()[:, 2], roll_pitch_rate=env.qvel[:, 3:5],
+        gravity=env.felt_gravity(), torque=env.ctrl, qdd=(env.qvel[:, 6:] - qd_before) / env.period,
+        height=env.qpos[:, 2] - ground, landed=landings(env.state.off_ground, env.contacts[:, FEET] > 0, env.period),
+        collisions=(env.contacts[:, LEGS] > 0).sum(-1), action_change=env.state.action - action_before,
+        q=env.qpos[:, 7:], joint_range=env.joint_range)  # fmt: skip
+
+
+def landings(off_ground, touch, period):
+    """How long a foot that lands now was in the air, 0 for the others: (N, 4) [s].
+
+    off_ground: (N, 4) int, control steps since each foot last touched the ground, counted on in place; begin with 1
+    touch:      (N, 4) bool, which feet are on the ground now
+    period:     [s] of a control step
+    A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].
+    """
+    landed = np.where(touch & (off_ground > 1), off_ground * period, 0.0)
+    off_ground[:] = np.where(touch, 0, off_ground + 1)
+    return landed
+
+
+def terms(m):
+    """The terms of the shaped reward before their weights, a dict of (...,) in the order of WEIGHTS. m: Motion."""
+    norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731
+    linear, angular = rewards.kernels(m.velocity, m.command)
+    moving = np.linalg.norm(m.command[..., :2], axis=-1) > 0.1
+    middle, half = m.joint_range.mean(0), SOFT_LIMIT * np.diff(m.joint_range, axis=0)[0] / 2
+    return dict(
+        linear=linear, angular=angular, v_z=m.v_z**2, roll_pitch_rate=norm2(m.roll_pitch_rate),
+        tilt=norm2(m.gravity[..., :2]), torque=norm2(m.torque), qdd=norm2(m.qdd), height=(m.height - HEIGHT) ** 2,
+        air_time=np.where(m.landed > 0, m.landed - 0.5, 0.0).sum(-1) * moving, collisions=m.collisions,
+        action_change=norm2(m.action_change),
+        joint_limits=np.maximum(np.abs(m.q - middle) - half, 0.0).sum(-1))  # fmt: skip
+
+
+def reward(m):
+    """The shaped reward (...,) [-]: the weighted sum of its terms, at least 0. m: Motion."""
+    return np.maximum(sum(WEIGHTS[name] * term for name, term in terms(m).items()), 0.0)
