@@ -198,7 +198,7 @@ class Log:
 
 
 def read_metrics(folder):
-    """The columns of a run's metrics.csv: {"iteration": (n,), "reward": (n,), ...}, {} if it has no row yet; NaN is what is missing."""
+    """The columns of metrics.csv, {"iteration": (n,), "reward": (n,), ...}; NaN is missing, {} has no row yet."""
     with open(folder / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
