@@ -60,6 +60,31 @@ class Config:
     hidden_estimator: tuple = (256, 128)  # [IV-C] of the estimator
 
 
+def check(cfg):
+    """Raise ValueError, in one line, for a Config that cannot train."""
+    policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
+    at_most = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), 1.0) | dict(seed=2**31 - 1)
+    for name, x in vars(cfg).items():
+        low = LOG_STD_RANGE[0] if name == "log_std" else 0 if name == "seed" else int(type(x) is int)
+        high = LOG_STD_RANGE[1] if name == "log_std" else at_most.get(name, 1e9)
+        if type(x) in (int, float) and not low <= x <= high:  # nan as well
+            raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
+    for wrong, message in (
+        (cfg.algo not in ("eipo", "ppo"), f"unknown algo {cfg.algo!r}: choose eipo or ppo"),
+        (min(widths, default=1) < 1, "hidden layers must have at least 1 unit"),
+        (cfg.mirror and any(n % 2 for n in widths), "a hidden layer of odd width has no halves: or give --no-mirror"),
+        (cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1],
+         f"lr is {cfg.lr}: with a target_kl it stays in {LR_RANGE[0]} to {LR_RANGE[1]}, give --target-kl 0"),
+        (policies == 1 and cfg.alpha0 is not None, "PPO's alpha is 1 / lam: give --lam instead of alpha0"),
+        (policies == 2 and cfg.lam == 0, "EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo"),
+        (cfg.num_envs % policies, f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even"),
+        (cfg.num_steps * cfg.num_envs // policies < cfg.num_minibatches,
+         "num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs"),
+    ):  # fmt: skip
+        if wrong:
+            raise ValueError(message)
+
+
 class Learner(NamedTuple):
     """A policy with all that trains it."""
 
@@ -178,31 +203,30 @@ def summary(iteration, est, dual, cfg):
 
 def init_state(env, env_prime, cfg):
     """The State before the first iteration: random policies, alpha_0, reset environments. PPO's env_prime is None."""
+
+    def start(env, key, heads, seed):
+        obs, info = env.reset(seed)
+        sizes = env.obs_size, env.privileged_size, env.action_size
+        return init_learner(key, sizes, heads, cfg), (obs, info["privileged"])
+
     key, key_prime = jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), 0))
-    sizes = env.obs_size, env.privileged_size, env.action_size
+    pi, at = start(env, key, 2, 2 * cfg.seed)
+    pi_prime, at_prime = (None, None) if env_prime is None else start(env_prime, key_prime, 1, 2 * cfg.seed + 1)
     alpha = cfg.alpha0 if cfg.alpha0 is not None else 1 / cfg.lam if cfg.lam else np.inf
-    pi_prime = at_prime = None
-    if env_prime is not None:
-        pi_prime, at_prime = init_learner(key_prime, sizes, 1, cfg), start(env_prime, 2 * cfg.seed + 1)
-    return State(0, init_learner(key, sizes, 2, cfg), pi_prime, Dual(alpha, 0.0), start(env, 2 * cfg.seed), at_prime)
-
-
-def start(env, seed):
-    """Reset env; returns `at`: obs (N, D) and privileged (N, P) of every environment."""
-    obs, info = env.reset(seed)
-    return obs, info["privileged"]
+    return State(0, pi, pi_prime, Dual(alpha, 0.0), at, at_prime)
 
 
 @partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
 def init_learner(key, sizes, heads, cfg):
     """A new Learner.
 
-    sizes: widths of obs, privileged and action: pairs of even and odd coordinates, as `networks.EvenOdd` has them
+    sizes: of obs, privileged and action: how many coordinates are even and how many odd (see `networks.EvenOdd`)
     heads: K, 2 for pi (task, cost), 1 for pi_prime
     """
     obs, privileged, action = sizes
     both = obs[0] + privileged[0], obs[1] + privileged[1]
-    hidden, hidden_estimator = ([(n - n // 2 * (obs[1] > 0), n // 2 * (obs[1] > 0)) for n in widths]
+    halves = (1, 0) if obs[1] == 0 else (0.5, 0.5)
+    hidden, hidden_estimator = ([tuple(int(n * half) for half in halves) for n in widths]
                                 for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
     actor = init_mlp(k_actor, (both, *hidden, action))

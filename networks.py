@@ -1,18 +1,14 @@
 """Actor, critic and estimator as functions of their parameters (Section IV-C.b), with a left and a right (D28).
 
-A Go1 has a left and a right. Let M mirror a state: legs swapped, signs of what points sideways turned. The robot, its
-tasks and Eq. (9) do not change under M, so neither should a policy: pi(M s) = M pi(s). An MLP is such a policy if its
-hidden units come in pairs (right, left) which M swaps. In the coordinates
-
-    even = (right + left) / sqrt 2    which M leaves alone         odd = (right - left) / sqrt 2    which M negates
-
-every linear layer of it falls apart into one product of the even coordinates and one of the odd ones, each of half the
-width and half the height: half the weights and half the arithmetic of the dense layer which it equals. So `EvenOdd`
-gives the learner an environment in these coordinates, even ones first, and `dense` turns a trained network back. A
-plain MLP is the case in which all coordinates are even.
+A Go1 has a left and a right. Its mirror M swaps the legs and turns the sign of what points sideways. Robot, tasks and
+Eq. (9) stay the same under M, so a policy may obey pi(M s) = M pi(s). An MLP does, if M swaps its hidden units in pairs
+(right, left). Then even = (right + left) / sqrt 2 stays the same under M, odd = (right - left) / sqrt 2 changes its
+sign, and every linear layer falls apart into a product of the even coordinates and a product of the odd ones. Each has
+half the width and half the height, so together they have half the weights, and take half the arithmetic, of the dense
+layer that they equal. `EvenOdd` is an environment in these coordinates. In a plain MLP all coordinates are even.
 
 params    {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}, layers: [Layer, ...]
-D, P, A   widths of an observation, of what is privileged, and of an action
+D, P, A   widths of an observation, of what is privileged, and of an action: even coordinates first, then odd ones
 K         heads of the critic (task, cost)
 """
 
@@ -26,7 +22,7 @@ from scipy.linalg import block_diag
 
 
 class Layer(NamedTuple):
-    """A linear layer from (even, odd) to (even, odd) coordinates. A bias may only be even."""
+    """A linear layer. Only even outputs have a bias: it is the same for right and left."""
 
     even: jax.Array  # (even in, even out)
     odd: jax.Array  # (odd in, odd out)
@@ -35,17 +31,20 @@ class Layer(NamedTuple):
 
 def init_mlp(key, sizes):
     """Layers of an MLP, uniform in +- 1/sqrt(fan-in) [lab code: PyTorch's default]; sizes: [(even, odd), ...]."""
+
+    def uniform(key, fan_in, *shape):
+        return jax.random.uniform(key, shape, minval=-1, maxval=1) / np.sqrt(max(fan_in, 1))
+
     layers = []
     for k, (even_in, odd_in), (even, odd) in zip(jax.random.split(key, len(sizes) - 1), sizes, sizes[1:], strict=False):
-        k_even, k_odd = jax.random.split(k)
-        both = jax.random.uniform(k_even, (even_in + 1, even), minval=-1, maxval=1) / np.sqrt(even_in)
-        odd = jax.random.uniform(k_odd, (odd_in, odd), minval=-1, maxval=1) / np.sqrt(max(odd_in, 1))
-        layers.append(Layer(both[:-1], odd, both[-1]))
+        k_even, k_odd, k_bias = jax.random.split(k, 3)
+        weights = uniform(k_even, even_in, even_in, even), uniform(k_odd, odd_in, odd_in, odd)
+        layers.append(Layer(*weights, uniform(k_bias, even_in, even)))
     return layers
 
 
 def elu(even, odd):
-    """ELU of the hidden units themselves, right and left, which the coordinates (..., n), (..., n) stand for."""
+    """ELU of the hidden units, right and left, which the coordinates (..., n), (..., n) stand for."""
     if odd.shape[-1] == 0:
         return jax.nn.elu(even), odd
     right, left = jax.nn.elu((even + odd) / np.sqrt(2)), jax.nn.elu((even - odd) / np.sqrt(2))
@@ -60,14 +59,9 @@ def mlp(layers, even, odd):
     return even @ last.even + last.bias, odd @ last.odd
 
 
-def halves(x, even):
-    """The even and the odd coordinates of x (..., n), of which the first `even` are even."""
+def split(x, even):
+    """The even coordinates of x (..., n), which come first, and the odd ones."""
     return x[..., :even], x[..., even:]
-
-
-def join(*pairs):
-    """Pairs (even, odd) side by side: one pair."""
-    return [jnp.concatenate(part, -1) for part in zip(*pairs, strict=True)]
 
 
 def policy(params, obs):
@@ -75,9 +69,10 @@ def policy(params, obs):
 
     obs: (..., D). The estimate is an input of the actor, but learns from its own error alone (D19).
     """
-    obs = halves(obs, len(params["estimator"][0].even))
+    obs = split(obs, len(params["estimator"][0].even))
     estimate = mlp(params["estimator"], *obs)
-    mean = jnp.concatenate(mlp(params["actor"]["layers"], *join(obs, jax.lax.stop_gradient(estimate))), -1)
+    seen = [jnp.concatenate(pair, -1) for pair in zip(obs, jax.lax.stop_gradient(estimate), strict=True)]
+    mean = jnp.concatenate(mlp(params["actor"]["layers"], *seen), -1)
     std = jnp.exp(params["actor"]["log_std"])
     std = jnp.concatenate([std, std[: mean.shape[-1] - len(std)]])  # right and left are equally noisy
     return mean, jnp.broadcast_to(std, mean.shape), jnp.concatenate(estimate, -1)
@@ -86,8 +81,9 @@ def policy(params, obs):
 @jax.jit
 def value(params, obs, privileged):
     """The critic: (..., K) values of obs (..., D), privileged (..., P). A value is even."""
-    first, last = params["estimator"][0], params["estimator"][-1]
-    return mlp(params["critic"], *join(halves(obs, len(first.even)), halves(privileged, len(last.bias))))[0]
+    obs = split(obs, len(params["estimator"][0].even))
+    privileged = split(privileged, len(params["estimator"][-1].bias))
+    return mlp(params["critic"], *(jnp.concatenate(pair, -1) for pair in zip(obs, privileged, strict=True)))[0]
 
 
 def log_prob(mean, std, action):
@@ -105,54 +101,46 @@ def even_odd(mirror):
     """
     first = np.argmax(mirror != 0, 1) >= np.arange(len(mirror))  # of the two that are swapped
     even, odd = ((np.eye(len(mirror)) + sign * mirror)[:, first] for sign in (1, -1))
-    basis = [part[:, part.any(0)] / np.linalg.norm(part[:, part.any(0)], axis=0) for part in (even, odd)]
-    return np.hstack(basis).astype(np.float32), basis[0].shape[1]
+    even, odd = (part[:, part.any(0)] / np.linalg.norm(part[:, part.any(0)], axis=0) for part in (even, odd))
+    return np.hstack([even, odd]).astype(np.float32), even.shape[1]
 
 
 class EvenOdd:
-    """An environment in even and odd coordinates, even ones first. Sizes are pairs (even, odd).
+    """An environment in even and odd coordinates. Its sizes are pairs: how many are even, how many odd.
 
-    env.mirror: {"obs", "privileged", "action"}: signed permutations. mirrored: if False, everything is even.
+    env.mirror: {"obs", "privileged", "action"}: signed permutations; if not mirrored, all coordinates are even
     """
 
     def __init__(self, env, mirrored=True):
         self.env, self.mirror = env, env.mirror if mirrored else {n: np.eye(len(m)) for n, m in env.mirror.items()}
-        self.basis, even = {}, {}
-        for name, mirror in self.mirror.items():
-            self.basis[name], even[name] = even_odd(mirror)
-        self.obs_size, self.privileged_size, self.action_size = (
-            (even[name], len(self.mirror[name]) - even[name]) for name in ("obs", "privileged", "action")
-        )
-
-    def _see(self, info):
-        return info | {name: x @ self.basis[name.split("_")[-1]] for name, x in info.items() if name in self.SEEN}
-
-    SEEN = ("privileged", "final_obs", "final_privileged")
+        (self.obs, n), (self.privileged, m), (self.action, k) = (even_odd(self.mirror[name]) for name in env.mirror)
+        self.obs_size, self.privileged_size = (n, len(self.obs) - n), (m, len(self.privileged) - m)
+        self.action_size = k, len(self.action) - k
 
     def reset(self, seed):
         """As env.reset."""
         obs, info = self.env.reset(seed)
-        return obs @ self.basis["obs"], self._see(info)
+        return obs @ self.obs, info | dict(privileged=info["privileged"] @ self.privileged)
 
     def step(self, action):
         """As env.step."""
-        obs, reward, terminated, truncated, info = self.env.step(action @ self.basis["action"].T)
-        return obs @ self.basis["obs"], reward, terminated, truncated, self._see(info)
+        obs, *rest, info = self.env.step(action @ self.action.T)
+        seen = {name: info[name] @ self.privileged for name in ("privileged", "final_privileged")}
+        return obs @ self.obs, *rest, info | seen | dict(final_obs=info["final_obs"] @ self.obs)
 
     def dense(self, params):
-        """The actor and the estimator as plain MLPs of plain coordinates, with all coordinates even: see `dense`."""
-        obs, privileged, action = (self.basis[name] for name in ("obs", "privileged", "action"))
-        both, _ = even_odd(block_diag(self.mirror["obs"], self.mirror["privileged"]))
-        noise = np.square(action[:, : len(params["actor"]["log_std"])])
-        log_std = noise @ params["actor"]["log_std"] / noise.sum(1)
-        actor = dict(layers=dense(params["actor"]["layers"], both, action), log_std=log_std)
-        return dict(actor=actor, estimator=dense(params["estimator"], obs, privileged))
+        """The actor and the estimator in plain coordinates, as plain MLPs: what a policy is elsewhere."""
+        seen, _ = even_odd(block_diag(self.mirror["obs"], self.mirror["privileged"]))
+        pairs = np.square(self.action[:, : len(params["actor"]["log_std"])])
+        log_std = pairs @ params["actor"]["log_std"] / pairs.sum(1)
+        actor = dict(layers=dense(params["actor"]["layers"], seen, self.action), log_std=log_std)
+        return dict(actor=actor, estimator=dense(params["estimator"], self.obs, self.privileged))
 
 
 def dense(layers, basis_in, basis_out):
-    """The plain MLP which equals a mirrored one: layers of (right, left) units, all coordinates of which are even.
+    """Layers of the plain MLP that equals a mirrored one: its units are right and left ones, its coordinates even.
 
-    basis_in, basis_out: from plain coordinates to those of the first layer's input and the last one's output
+    basis_in, basis_out: from plain coordinates to even and odd ones, of the input and of the output
     """
     plain = []
     for i, layer in enumerate(layers):

@@ -96,36 +96,6 @@ def settle_resumed(folder, given_env, given_learner):
     return env_cfg, replace(cfg, iterations=given_learner.get("iterations", cfg.iterations))
 
 
-def check(cfg):
-    """Raise ValueError, in one line, for an eipo.Config that cannot train. (go1_env checks its own.)"""
-    if cfg.algo not in ("eipo", "ppo"):
-        raise ValueError(f"unknown algo {cfg.algo!r}: choose eipo or ppo")
-    rates = ("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha")
-    for field in fields(cfg):
-        name, x = field.name, getattr(cfg, field.name)
-        if (field.type is int and x < (name != "seed")) or (field.type is tuple and min(x, default=1) < 1):
-            raise ValueError(f"{name} is {x}: it must be at least {int(name != 'seed')}")
-        low, high = eipo.LOG_STD_RANGE if name == "log_std" else (0.0, 1.0 if name in rates else 1e9)
-        if field.type in (float, float | None) and x is not None and not low <= x <= high:
-            raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
-    if cfg.target_kl and not eipo.LR_RANGE[0] <= cfg.lr <= eipo.LR_RANGE[1]:
-        raise ValueError(
-            f"lr is {cfg.lr}: with a target_kl it stays in {eipo.LR_RANGE[0]} to {eipo.LR_RANGE[1]}, give --target-kl 0"
-        )
-    if cfg.seed >= 2**31:
-        raise ValueError(f"seed is {cfg.seed}: it must be less than 2**31")
-    if cfg.mirror and any(n % 2 for n in cfg.hidden + cfg.hidden_estimator):
-        raise ValueError("hidden layers of odd width have no left and right: give even ones, or --no-mirror")
-    if cfg.algo == "ppo" and cfg.alpha0 is not None:
-        raise ValueError(f"alpha0 is {cfg.alpha0}: PPO's alpha is 1 / lam, so give --lam instead")
-    if cfg.algo == "eipo" and cfg.lam == 0:
-        raise ValueError("EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo")
-    if cfg.algo == "eipo" and cfg.num_envs % 2:
-        raise ValueError(f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even")
-    if cfg.num_steps * cfg.num_envs // (2 if cfg.algo == "eipo" else 1) < cfg.num_minibatches:
-        raise ValueError("num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs")
-
-
 # ---- the run ----
 
 
@@ -147,7 +117,7 @@ def prepare(options, given_env, given_learner):
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
     elif (folder / "checkpoint.npz").exists():
         raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
-    check(cfg)
+    eipo.check(cfg)
     tasks.check(cfg.num_envs, env_cfg, options.threads)
     folder.mkdir(parents=True, exist_ok=True)
     return folder, env_cfg, cfg

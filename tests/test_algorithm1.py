@@ -97,8 +97,13 @@ def known(heads):
     return dict(actor=actor, critic=critic, estimator=[plain(jnp.zeros((2, 1)), jnp.zeros(1))])
 
 
+def start(env):
+    obs, info = env.reset(0)
+    return obs, info["privileged"]
+
+
 def roll(env, heads, cfg):
-    return eipo.rollout(env, known(heads), eipo.start(env, 0), jax.random.key(0), cfg)
+    return eipo.rollout(env, known(heads), start(env), jax.random.key(0), cfg)
 
 
 def test_rollout_bootstraps_from_the_final_observation():
@@ -141,7 +146,7 @@ def test_rollout_each_truncation_has_its_own_final_observation():
     cfg = replace(EIPO, num_steps=3, gae_lambda=0.0, gamma=1.0)
     params = known(1) | dict(critic=[plain(jnp.array([[1.0], [0.0], [0.0]]), jnp.zeros(1))])
     env = Cut(lambda x, t, a: np.zeros(3))
-    tau, _, _ = eipo.rollout(env, params, eipo.start(env, 0), jax.random.key(0), cfg)
+    tau, _, _ = eipo.rollout(env, params, start(env), jax.random.key(0), cfg)
     bootstrapped = eipo.estimate(params, tau, cfg).target[..., 0]
     assert bootstrapped.tolist() == [[0, 0, 0], [0, 0, 102], [200, 201, 0]]
 

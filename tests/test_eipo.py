@@ -15,7 +15,6 @@ import pytest
 
 import eipo
 import networks
-import train
 from eipo import Config, Dual, Estimate, Rollout
 from networks import Layer
 
@@ -99,12 +98,12 @@ SWEEP = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
 
 @pytest.mark.parametrize("lam", SWEEP)
 def test_eq10_ppo_takes_every_lambda(lam):
-    train.check(Config(algo="ppo", lam=lam))
+    eipo.check(Config(algo="ppo", lam=lam))
 
 
 @pytest.mark.parametrize("lam", SWEEP[1:])
 def test_eq10_eipo_starts_from_every_positive_lambda(lam):
-    train.check(Config(algo="eipo", lam=lam))
+    eipo.check(Config(algo="eipo", lam=lam))
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----
@@ -468,7 +467,7 @@ def test_alpha_moves_by_one_per_iteration_in_the_limit():
 )  # fmt: skip
 def test_settings_that_cannot_train_are_refused_in_one_line(bad):
     with pytest.raises(ValueError, match=r"\A.+\Z"):
-        train.check(replace(Config(), **bad))
+        eipo.check(replace(Config(), **bad))
 
 
 def test_settings_are_those_of_the_paper():
@@ -481,10 +480,10 @@ def test_settings_are_those_of_the_paper():
 
 def test_settings_of_ppo_are_checked_as_ppo():
     """An odd number of environments, and as few as one sample per minibatch, are enough for one policy."""
-    train.check(Config())
-    train.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3))
+    eipo.check(Config())
+    eipo.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3))
     with pytest.raises(ValueError, match="num_minibatches"):
-        train.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=4))
+        eipo.check(Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=4))
 
 
 def test_imports_know_nothing_of_robots_and_files():

@@ -434,7 +434,7 @@ def settled(line):
     assert (python, script) == ("python", "train.py")
     options, *given = train.parse(argv)
     env_cfg, cfg = train.settle(*given)
-    train.check(cfg)
+    eipo.check(cfg)
     folder = str(train.run_path(train.Options(**options), env_cfg, cfg))
     return env_cfg.task, cfg.algo, cfg.lam, cfg.seed, folder
 

@@ -91,7 +91,7 @@ def test_even_odd_by_hand():
     assert even == 1 and basis == pytest.approx(np.array([[s, s, 0], [s, -s, 0], [0, 0, 1]]))
     env = networks.EvenOdd(make())
     assert (env.obs_size, env.privileged_size, env.action_size) == ((5 * 21, 5 * 23), (2, 1), (6, 6))
-    for basis in env.basis.values():
+    for basis in (env.obs, env.privileged, env.action):
         np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
 
 
@@ -126,9 +126,9 @@ def test_a_mirrored_observation_gets_a_mirrored_action(learner):
     first, image = info["privileged"], info["privileged"] @ env.mirror["privileged"]
     seen = []
     for obs, privileged in ((first_obs, first), (first_obs @ env.mirror["obs"], image)):
-        mean, _, estimate = networks.policy(params, obs.astype(np.float32) @ env.basis["obs"])
-        value = networks.value(params, obs.astype(np.float32) @ env.basis["obs"], privileged @ env.basis["privileged"])
-        seen.append((mean @ env.basis["action"].T, estimate @ env.basis["privileged"].T, value))
+        mean, _, estimate = networks.policy(params, obs.astype(np.float32) @ env.obs)
+        value = networks.value(params, obs.astype(np.float32) @ env.obs, privileged @ env.privileged)
+        seen.append((mean @ env.action.T, estimate @ env.privileged.T, value))
     there = seen[0][0] @ env.mirror["action"], seen[0][1] @ env.mirror["privileged"], seen[0][2]
     for here, expected in zip(seen[1], there, strict=True):
         assert np.abs(expected).max() > 0.01
@@ -145,10 +145,10 @@ def test_dense_is_the_same_policy(mirrored):
     plain = env.dense(params)
     assert [layer.even.shape for layer in plain["actor"]["layers"]] == [(223, 16), (16, 8), (8, 12)]
     obs, _ = env.env.reset(1)
-    mean, _, estimate = networks.policy(params, obs @ env.basis["obs"])
+    mean, _, estimate = networks.policy(params, obs @ env.obs)
     there = networks.policy(plain, obs)
-    np.testing.assert_allclose(there[0], mean @ env.basis["action"].T, atol=1e-5)
-    np.testing.assert_allclose(there[2], estimate @ env.basis["privileged"].T, atol=1e-5)
+    np.testing.assert_allclose(there[0], mean @ env.action.T, atol=1e-5)
+    np.testing.assert_allclose(there[2], estimate @ env.privileged.T, atol=1e-5)
     if mirrored:  # FR hip and FL hip share a pair, and so on
         assert plain["actor"]["log_std"] == pytest.approx(np.tile(np.arange(6).reshape(2, 1, 3) / 8, (1, 2, 1)).ravel())
     weights = [sum(x.size for x in jax.tree.leaves(p["actor"]["layers"])) for p in (params, plain)]
@@ -160,6 +160,6 @@ def test_the_noise_is_as_likely_mirrored(learner):
     env, params = learner
     action = np.random.default_rng(0).normal(size=12).astype(np.float32)
     _, std, _ = networks.policy(params, np.zeros(220, np.float32))
-    basis = env.basis["action"]
+    basis = env.action
     here, there = (networks.log_prob(0 * std, std, a @ basis) for a in (action, action @ env.mirror["action"]))
     assert float(here) == pytest.approx(float(there), rel=1e-6)

@@ -25,6 +25,7 @@ if __name__ == "__main__":
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
+import eipo
 import evaluate
 import play
 import train
@@ -206,7 +207,7 @@ def test_commands_parse():
         assert python == "python" and (ROOT / script).exists(), line
         if script == "train.py":
             _, env, learner = train.parse(argv)
-            train.check(train.settle(env, learner)[1])
+            eipo.check(train.settle(env, learner)[1])
         else:
             known = {"evaluate.py": evaluate.main, "play.py": play.main}
             allowed = flags_of(known[script]) if script in known else {"--write"}
