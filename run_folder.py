@@ -39,13 +39,9 @@ import tasks
 
 def commit():
     """Commit of this source, with a + if tracked files were changed since; "unknown" outside a git checkout."""
-
-    def git(*args):
-        here = Path(__file__).parent
-        return subprocess.run(["git", *args], cwd=here, capture_output=True, text=True, check=True).stdout
-
+    command = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
-        return git("rev-parse", "HEAD").strip() + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+        return subprocess.check_output(command, cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True).strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
@@ -62,8 +58,7 @@ def replace_file(path, write):
 
 def save_config(folder, env_cfg, cfg, argv, resume=False):
     """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
-    old = json.loads((folder / "config.json").read_text()) if resume else dict(starts=[])
-    starts = old.get("starts", [{name: x for name, x in old.items() if name not in ("env", "learner")}])  # of old runs
+    starts = json.loads((folder / "config.json").read_text())["starts"] if resume else []
     about = dict(
         command=shlex.join(["python", "train.py", *argv]),
         commit=commit(),
@@ -101,14 +96,10 @@ def read_npz(path):
         raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
 
 
-def named_leaves(tree):
-    """The leaves of a pytree by name: {"pi.params['actor']['log_std']": array, ...}."""
-    return {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
-
-
 def save_checkpoint(path, state, envs):
     """Everything: learners, optimisers, alpha, and for each environment its simulations and random generator."""
-    arrays = {"state" + name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
+    leaves = jax.tree_util.tree_leaves_with_path(state)
+    arrays = {"state" + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in env.save().items()}
     replace_file(path, lambda file: np.savez(file, **arrays))
@@ -207,7 +198,7 @@ class Log:
 
 
 def read_metrics(folder):
-    """The columns of a run's metrics.csv: {"iteration": (n,), "reward": (n,), ...}, {} if it has no row yet."""
+    """The columns of metrics.csv, {"iteration": (n,), "reward": (n,), ...}; NaN is missing, {} has no row yet."""
     with open(folder / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
@@ -237,10 +228,8 @@ def draw_commands(folder, weights):
 
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    (x_low, yaw_low), (x_high, yaw_high) = curriculum.LOW, curriculum.HIGH
-    image = axes.imshow(
-        weights, origin="lower", extent=(yaw_low, yaw_high, x_low, x_high), aspect="auto", vmin=0, vmax=1
-    )
+    extent = np.ravel([curriculum.LOW, curriculum.HIGH], "F")[[2, 3, 0, 1]]  # of yaw rate, then of v_x
+    image = axes.imshow(weights, origin="lower", extent=extent, aspect="auto", vmin=0, vmax=1)
     axes.set(title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]")
     figure.colorbar(image, label="weight")
     replace_file(folder / "commands.png", lambda file: figure.savefig(file, dpi=100, format="png"))

@@ -128,6 +128,13 @@ def test_readme_lists_every_deviation_that_the_source_names():
     assert named <= listed
 
 
+def test_what_is_imported_is_declared():
+    """Not only what other packages bring along: they may stop to."""
+    declared = re.search(r"^dependencies = \[(.*)\]", (ROOT / "pyproject.toml").read_text(), re.M)[1]
+    packages = set().union(*LAYERS.values()) - {"PIL"} | {"pillow"}
+    assert packages == set(re.findall(r'"(\w+)', declared))
+
+
 def test_modules_are_packaged_and_none_is_called_utils():
     packaged = re.search(r"py-modules = \[(.*)\]", (ROOT / "pyproject.toml").read_text())[1]
     assert "utils" not in MODULES

@@ -122,15 +122,14 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     assert ["--resume" in start["command"] for start in starts] == [False, True]
 
 
-def test_resuming_a_run_of_an_older_version_keeps_how_it_was_started(tmp_path):
-    """Its config.json has command, commit, machine and versions of one start beside env and learner."""
-    assert run("--iterations", 1, "--out", tmp_path) == 0
-    record = json.loads((tmp_path / "config.json").read_text())
-    (start,) = record.pop("starts")
-    (tmp_path / "config.json").write_text(json.dumps(record | start))
-    assert train.main(["--out", str(tmp_path), "--resume", "--iterations", "2"]) == 0
-    first, second = json.loads((tmp_path / "config.json").read_text())["starts"]
-    assert first == start and "--resume" in second["command"]
+def test_metrics_are_read_as_columns(tmp_path):
+    """Two rows of two columns; a last row without its second number, as a full disk would leave it; no row yet."""
+    (tmp_path / "metrics.csv").write_text("iteration,reward\n1,0.5\n2,0.75\n3\n")
+    columns = run_folder.read_metrics(tmp_path)
+    assert list(columns) == ["iteration", "reward"] and columns["iteration"].tolist() == [1.0, 2.0, 3.0]
+    assert columns["reward"][:2].tolist() == [0.5, 0.75] and np.isnan(columns["reward"][2])
+    (tmp_path / "metrics.csv").write_text("")
+    assert run_folder.read_metrics(tmp_path) == {}
 
 
 @pytest.mark.parametrize(
