@@ -2,9 +2,11 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 import eipo
+import go1
 import go1_env
 import run_folder
 import tasks
@@ -75,6 +77,29 @@ def still(env, steps=1):
 def frames(obs):
     """Observations (N, H * 44) as (N, H, 44)."""
     return obs.reshape(len(obs), -1, 44)
+
+
+def soles(qpos):
+    """Height of the four soles [m] at qpos, by MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return np.array([data.geom(f"{leg}_foot").xpos[2] for leg in LEGS]) - 0.02
+
+
+def random_actions(env, steps, seed=0):
+    """(steps, N, 12), of the size of a fresh policy's."""
+    return np.random.default_rng(seed).normal(size=(steps, env.num_envs, 12))
+
+
+def run(env, actions):
+    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit by bit."""
+    seen = []
+    for action in actions:
+        obs, reward, terminated, truncated, info = env.step(action)
+        seen += [obs, reward, terminated, truncated, *info.pop("log").values(), *info.values()]
+    return seen
 
 
 def same_bits(a, b):

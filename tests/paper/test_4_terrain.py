@@ -1,4 +1,4 @@
-"""Sections IV-A.2 and 3: Perlin noise and the ground made of it. Numbers are sums of powers of 2, so that == is meant."""
+"""Sections IV-A.2 and 3: Perlin noise and the ground made of it. The numbers are dyadic, so that == is meant."""
 
 import numpy as np
 import pytest
