@@ -209,7 +209,7 @@ def draw_curves(folder):
     from matplotlib.figure import Figure  # slow to import, and only wanted here
 
     columns = read_metrics(folder)
-    panels = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]",
+    panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
                   gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
     figure = Figure(figsize=(12, 6), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):

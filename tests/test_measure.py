@@ -26,6 +26,7 @@ class Scripted:
     def step(self, action):
         self.t += 1
         log = dict(v_x=np.array([self.t, 2.0, 1 / 32]), power=np.array([8.0, 16.0, 24.0]))
+        log |= dict(pitch=np.array([self.t, 4.0, 0.0]), roll=np.array([-1.0, 0.5, 0.0]))
         terminated = np.array([False, self.t == 3, False])
         truncated = np.array([self.t == 20, False, self.t == 20])
         return np.zeros((3, 1)), np.full(3, 0.5), terminated, truncated, dict(log=log)
@@ -46,6 +47,11 @@ def test_velocity_power_and_energy_are_of_the_first_episode(episodes):
     """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2 is too slow."""
     assert episodes.v_x.tolist() == [10.5, 2.0, 1 / 32] and episodes.power.tolist() == [8.0, 16.0, 24.0]
     assert episodes.energy[:2].tolist() == [8 / 10.5, 8.0] and np.isnan(episodes.energy[2])
+
+
+def test_attitude_is_of_the_first_episode(episodes):
+    """Robot 0: (1 + ... + 20) / 20 = 10.5 degrees nose up; robot 1 keeps its 4 until it falls."""
+    assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [-1.0, 0.5, 0.0]
 
 
 def test_late_velocity_is_of_the_second_half(episodes):
@@ -81,7 +87,7 @@ def test_iqm_by_hand():
 
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
-    row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])])
+    row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], measure.iqm)
     assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_mean", "x_n"]
     assert (
         row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8 and (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
@@ -99,8 +105,16 @@ def test_summarise_without_an_interval():
 
 def test_iqm_does_not_see_rare_falls_but_the_mean_does():
     """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 = 1.125."""
-    row = measure.summarise("x", [np.array([0.25, *[1.25] * 7])])
-    assert (row["x"], row["x_mean"]) == (1.25, 1.125)
+    (first, mean), (middle, _) = (
+        (row["x"], row["x_mean"])
+        for row in (measure.summarise("x", [np.array([0.25, *[1.25] * 7])], f) for f in (np.mean, measure.iqm))
+    )
+    assert (first, mean, middle) == (1.125, 1.125, 1.25)
+
+
+def test_mean_of_what_is_finite():
+    """J/m of robots that stand is NaN: (1 + 2) / 2, and NaN where nobody moves."""
+    assert measure.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5 and np.isnan(measure.finite_mean([np.nan]))
 
 
 def test_interval_covers_the_truth():
@@ -119,6 +133,6 @@ def test_iqm_and_interval_agree_with_rliable():
     x = np.random.default_rng(0).normal(size=(3, 8))
     aggregate = lambda y: np.array([metrics.aggregate_iqm(y)])  # noqa: E731
     point, bounds = rly.get_interval_estimates({"x": x.reshape(-1, 1)}, aggregate, reps=4000)
-    row = measure.summarise("x", list(x))
+    row = measure.summarise("x", list(x), measure.iqm)
     assert row["x"] == pytest.approx(point["x"][0])
     assert (row["x_low"], row["x_high"]) == pytest.approx(tuple(bounds["x"][:, 0]), abs=0.1)

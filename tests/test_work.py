@@ -91,3 +91,20 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers():
         env.state.command[:] = 1.0, 0.0, 0.0
         rewards.append(still(env)[1][0])
     assert rewards == pytest.approx([1.5, 0.5 + np.exp(-1)], abs=1e-4)
+
+
+@pytest.mark.parametrize(("turn", "expected"), [(("Y", -30), (30, 0)), (("X", 20), (0, 20)), (("Z", 50), (0, 0))])
+def test_attitude(turn, expected):
+    """Nose up is a turn about -y, the right side goes down in one about x, and a heading is neither. Degrees."""
+    env = make(1)
+    place(env, quaternion=Rotation.from_euler(*turn, degrees=True).as_quat(scalar_first=True))
+    assert env.attitude()[:, 0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_starts_from_the_nominal_pose():
+    """D35. Without spread all joints are nominal and the trunk is at rest; with it, up to half and 1/2 m/s off."""
+    env = make(64, start_spread=0.0)
+    assert (env.qpos[:, 7:] == NOMINAL).all() and not env.qvel.any()
+    env = make(64)
+    ratio, speed = env.qpos[:, 7:] / NOMINAL, np.abs(env.qvel[:, :6])
+    assert 0.5 <= ratio.min() < 0.55 and 1.45 < ratio.max() <= 1.5 and 0.45 < speed.max() <= 0.5
