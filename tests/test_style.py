@@ -98,18 +98,18 @@ def test_paper_settings_are_the_defaults():
     assert (learner.hidden, learner.hidden_estimator) == ((512, 256, 128), (256, 128))
 
 
-def table_rows():
-    """README's table of equations: [(tag, functions, tests)]."""
+def table_rows(page):
+    """The table of equations on a page: [(tag, functions, tests)]."""
     rows = re.findall(
-        r"^\| ((?:Eq|Alg|Section|GAE|PPO)[^|]*) \| ([^|]*) \| ([^|]*) \|$", (ROOT / "README.md").read_text(), re.M
+        r"^\| ((?:Eq|Alg|Section|GAE|PPO)[^|]*) \| ([^|]*) \| ([^|]*) \|$", (ROOT / page).read_text(), re.M
     )
     return [(tag, re.findall(r"`([\w.]+)`", where), re.findall(r"`([\w.]+)`", tests)) for tag, where, tests in rows]
 
 
 def test_readme_equation_table_resolves_both_ways():
-    """Every row names a function and a test that exist; every Eq. tag of the source has a row."""
-    rows = table_rows()
-    tests = "".join(path.read_text() for path in (ROOT / "tests").glob("test_*.py"))
+    """Every row names a function and a test that exist; every Eq. of the source has a row; README selects."""
+    rows = table_rows("tests/paper/README.md")
+    tests = "".join(path.read_text() for path in (ROOT / "tests").rglob("test_*.py"))
     for tag, where, names in rows:
         assert where and names, tag
         for name in where:
@@ -120,12 +120,35 @@ def test_readme_equation_table_resolves_both_ways():
     listed = {int(n) for tag, _, _ in rows for n in re.findall(r"\d+", tag) if tag.startswith("Eq")}
     used = {int(n) for module in MODULES for n in re.findall(r"Eq\. \((\d+)\)", source(module))}
     assert used | set(range(1, 12)) == listed
+    all_of = {tag: (set(where), set(names)) for tag, where, names in rows}
+    selected = table_rows("README.md")
+    assert selected
+    for tag, where, names in selected:
+        assert set(where) <= all_of[tag][0] and set(names) <= all_of[tag][1], tag
 
 
-def test_readme_lists_every_deviation_that_the_source_names():
-    named = {n for module in MODULES for n in re.findall(r"\bD(\d+)\b", source(module))}
-    listed = set(re.findall(r"^\| D(\d+) ", (ROOT / "README.md").read_text(), re.M))
-    assert named <= listed
+def test_every_deviation_that_the_source_names_is_listed():
+    """deviations.md has D1, D2, ... without a gap, each once and with its four parts."""
+    page = (ROOT / "deviations.md").read_text()
+    listed = [int(n) for n in re.findall(r"^### D(\d+)\. \S", page, re.M)]
+    assert sorted(listed) == list(range(1, len(listed) + 1))
+    for part in ("Paper", "Here", "Why", "Source"):
+        assert len(re.findall(rf"^- \*\*{part}:\*\* \S", page, re.M)) == len(listed), part
+    named = {int(n) for module in MODULES for n in re.findall(r"\bD(\d+)\b", source(module))}
+    text = page + (ROOT / "README.md").read_text()
+    assert named | {int(n) for n in re.findall(r"\bD(\d+)\b", text)} <= set(listed)
+
+
+def test_readme_is_one_sitting_and_its_files_exist():
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    for page in ("README.md", "deviations.md", "tests/paper/README.md"):
+        for link in re.findall(r"\]\(([^)#:]+)\)", (ROOT / page).read_text()):
+            assert (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
+    shown = re.findall(r"play\.py (results/\S+)", text)
+    assert shown and all((ROOT / folder / "policy.npz").exists() for folder in shown)
+    for name in re.findall(r"`(\w+\.(?:py|xml))`", text):
+        assert (ROOT / name).exists(), name
 
 
 def test_what_is_imported_is_declared():
