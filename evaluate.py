@@ -2,6 +2,7 @@
 
     python evaluate.py RUN...                    a line per run folder: task performance, falls, speed, power
     python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
+    python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
 
 How policies are measured is in `measure.py`.
@@ -10,6 +11,7 @@ How policies are measured is in `measure.py`.
 import argparse
 import csv
 import shlex
+import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -39,6 +41,7 @@ SWEEPS = dict(  # the runs behind each figure and Table I: task, flags of train.
     fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
     table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # m/s, commands of Figs. 2 to 4
+LEVELS = dict(flat=(1.2, 1.35))  # batch means of the task reward, of which `seeds` says when they were reached
 ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
 
 
@@ -67,22 +70,31 @@ def by_label(folders, task):
     return {name: list(groups[name]) for name in order}
 
 
-def by_command(folders, task, commands, columns, args):
-    """Rows of a CSV: for each kind of run and each command, IQM and intervals of the named columns of Episodes.
+def play(folder, task, commands, each, args):
+    """Episodes of a run, `each` of every command (n, 3): of random starts as in training, of the nominal pose."""
+    roughness, asked = ROUGHNESS.get(task) if args.roughness is None else args.roughness, np.repeat(commands, each, 0)
+    loaded = (measure.load(folder, len(asked), args.clip, roughness, nominal) for nominal in (False, True))
+    return [measure.run_episodes(*policy_env, asked) for policy_env in loaded]
 
-    commands: (n, 3); every run plays about args.episodes episodes, equally many of each command
+
+def by_command(folders, task, commands, columns, args, statistic=np.mean):
+    """Rows of a CSV: for each kind of run and each command, a statistic and intervals of named columns of Episodes.
+
+    commands: (n, 3); every run plays about args.episodes episodes, equally many of each command. Columns ending in
+    _nominal are of as many episodes that start from the nominal pose, all others of those with random starts.
     """
     each = max(1, args.episodes // len(commands))
-    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
     rows = []
     for name, runs in by_label(folders, task).items():
-        loaded = [measure.load(folder, each * len(commands), args.clip, roughness) for folder in runs]
-        played = [measure.run_episodes(*policy_env, np.repeat(commands, each, 0)) for policy_env in loaded]
+        played, nominal = zip(*(play(folder, task, commands, each, args) for folder in runs), strict=True)
         for i, command in enumerate(commands):
+            mine = slice(i * each, (i + 1) * each)
             row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2], seeds=len(runs), episodes=each)
-            row |= dict(fell=np.mean([e.fell[i * each : (i + 1) * each] for e in played]))
+            row |= dict(fell=np.mean([e.fell[mine] for e in played]))
+            row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
             for column in columns:
-                row |= measure.summarise(column, [getattr(e, column)[i * each : (i + 1) * each] for e in played])
+                row |= measure.summarise(column, [getattr(e, column)[mine] for e in played], statistic)
+                row[f"{column}_nominal"] = measure.finite_mean([getattr(e, column)[mine] for e in nominal])
             rows.append(row)
     return rows
 
@@ -172,15 +184,14 @@ def fig6(folders, args):
     draw_lines(axes := figure.subplots(), rows, "time", "v_x")
     for peak in HARDWARE:
         axes.axhline(peak, color="black", linestyle=":", linewidth=1)
-    axes.set(xlabel="time [s]", ylabel="body velocity [m/s]")
+    axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
     return rows, figure
 
 
 def table1(folders, args):
     """Peak velocity of every lambda, beside what the paper prints. Table I."""
-    rows = by_command(
-        folders, "velocity", np.zeros((1, 3)), ("peak", "peak_sustained", "v_x", "v_x_late", "power"), args
-    )
+    columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
+    rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, measure.iqm)  # D26
     paper = [dict(zip(("paper", "paper_low", "paper_high"), TABLE1.get(row["run"], [np.nan] * 3), strict=True))
              for row in rows]  # fmt: skip
     rows = [row | printed for row, printed in zip(rows, paper, strict=True)]
@@ -197,7 +208,58 @@ def table1(folders, args):
     return rows, figure
 
 
-FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1)}
+def reached(metrics, level):
+    """Environment steps [M] and minutes after which the mean reward of 20 iterations is at a level, or NaN."""
+    means = np.convolve(metrics["reward"], np.ones(20) / 20, "valid")
+    if not (means >= level).any():
+        return np.nan, np.nan
+    at, seconds = np.argmax(means >= level) + 19, np.diff(metrics["time_s"], prepend=0.0)
+    seconds = np.where(seconds < 0, metrics["time_s"], seconds)  # the clock starts anew where a run was resumed
+    return metrics["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
+
+
+def overview(folder, args):
+    """One run in one row of means: from random starts, where it says so from the nominal pose; J/m of robots that move.
+
+    Commands are those of Figs. 2 to 4, on the task `curriculum` straight ahead with 0 to 1 m/s as well.
+    """
+    env_cfg, cfg = run_folder.load_config(folder)
+    commands = np.zeros((1, 3)) if env_cfg.task == "velocity" else FORWARD
+    each = max(1, args.episodes // len(commands))
+    e, nominal = play(folder, env_cfg.task, commands, each, args)
+    row = dict(run=folder.name, seed=cfg.seed, performance=e.performance.mean(), fell=e.fell.mean())
+    row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
+    row |= {name: measure.finite_mean(getattr(e, name)) for name in ("v_x", "peak", "power", "energy")}
+    row |= {name: np.abs(getattr(e, name)).mean() for name in ("pitch", "roll")}
+    speeds = zip(commands[:, 0], e.v_x.reshape(-1, each).mean(1), strict=True)
+    return row | {f"v_x_at_{x:g}": speed for x, speed in speeds if len(commands) > 1}
+
+
+def seeds(folders, args):
+    """How soon the runs of one task learned, and what they do now: an `overview` and a curve of each."""
+    rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for folder in map(Path, folders):
+        metrics, task = run_folder.read_metrics(folder), run_folder.load_config(folder)[0].task
+        times = {f"{unit}_{level}": x for level in LEVELS.get(task, ())
+                 for unit, x in zip(("msteps", "minutes"), reached(metrics, level), strict=True)}  # fmt: skip
+        rows.append(overview(folder, args) | times)
+        axes.plot(metrics["steps"] / 1e6, metrics["reward"], label=folder.name, linewidth=0.8)
+    axes.set(xlabel="million steps", ylabel="task reward per step of pi")
+    axes.legend(fontsize=7)
+    axes.grid(alpha=0.3)
+    return rows, figure
+
+
+FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds)}
+
+
+def keep_policies(out, folders):
+    """Copy the policy of every run to out/NAME/policy.npz, so that play.py can show the gait behind a number later."""
+    for folder in map(Path, folders):
+        if (kept := out / folder.name).resolve() != folder.resolve():
+            kept.mkdir(exist_ok=True)
+            shutil.copy(folder / "policy.npz", kept)
 
 
 def save(out, what, rows, figure):
@@ -211,18 +273,12 @@ def save(out, what, rows, figure):
 
 
 def print_table(folders, args):
-    """A row of a Markdown table for each run folder: means over episodes, of the energy the IQM of those that move.
-
-    Commands are those of the task; for the curriculum, those that training starts with.
-    """
-    print("| run | task performance | fell | v_x [m/s] | power [W] | energy [J/m] |\n|---|---|---|---|---|---|")
-    for folder in folders:
-        task = run_folder.load_config(Path(folder))[0].task
-        roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-        e = measure.run_episodes(*measure.load(folder, args.episodes, args.clip, roughness))
-        energy = measure.summarise("energy", [e.energy])["energy"]
-        print(f"| {folder} | {e.performance.mean():.3f} | {100 * e.fell.mean():.1f} % | {e.v_x.mean():.3f} "
-              f"| {e.power.mean():.1f} | {energy:.0f} |", flush=True)  # fmt: skip
+    """The `overview` of each run folder as a row of a Markdown table."""
+    for i, folder in enumerate(map(Path, folders)):
+        row = overview(folder, args)
+        if i == 0:
+            print("|", " | ".join(row), "|\n" + "|---" * len(row) + "|")
+        print("|", " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()), "|", flush=True)
 
 
 # ---- the train.py commands that are still to be given ----
@@ -285,6 +341,7 @@ def main(argv):
         else:
             args.out.mkdir(parents=True, exist_ok=True)
             save(args.out, what, *FIGURES[what](folders, args))
+            keep_policies(args.out, folders)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

@@ -124,7 +124,8 @@ class Go1Env:
         truncated = ~terminated & (self.state.age >= self.env_cfg.episode_steps)
         if self.ground is not None:  # a robot that left its tile comes back on the other side, where the ground goes on
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], self.state.tile)
-        log = dict(v_x=over_ground[:, 0], command_x=self.state.command[:, 0].copy(), power=power,
+        log = dict(zip(("pitch", "roll"), self.attitude(), strict=True)) | dict(
+                   v_x=over_ground[:, 0], command_x=self.state.command[:, 0].copy(), power=power,
                    ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated) | extra  # fmt: skip
         if self.task.curriculum or self.env_cfg.max_power:
             log |= dict(ended_power=overload & ~fell & ~diverged)
@@ -217,6 +218,11 @@ class Go1Env:
         down = self.state.gravity[ids] / np.linalg.norm(self.state.gravity[ids], axis=-1, keepdims=True)
         return self._to_world(ids).apply(down, inverse=True)
 
+    def attitude(self):
+        """Pitch, nose up, and roll, right side down, of the trunk: (2, N) [degrees]."""
+        x, y, z = self._to_world().as_matrix()[:, 2].T  # the vertical in the trunk's frame
+        return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
+
     def body_velocity(self):
         """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
         return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
@@ -264,8 +270,9 @@ class Go1Env:
     def _reset(self, ids):
         """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command, history."""
         n, uniform, state, env_cfg = len(ids), self.rng.uniform, self.state, self.env_cfg
+        spread = env_cfg.start_spread  # 0.5: joint angles by up to half, m/s and rad/s of the trunk up to 0.5 (D35)
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        q = np.clip(go1.Q_NOMINAL * uniform(0.5, 1.5, (n, 12)), *self.joint_range)  # [lab code]
+        q = np.clip(go1.Q_NOMINAL * uniform(1 - spread, 1 + spread, (n, 12)), *self.joint_range)
         yaw = Rotation.from_rotvec(uniform(-np.pi, np.pi, n)[:, None] * [0.0, 0.0, 1.0])
         points = np.einsum("nij,nkj->nki", yaw.as_matrix(), go1.leg_points(q))
         xy, ground = np.zeros((n, 2)), 0.0
@@ -275,7 +282,7 @@ class Go1Env:
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
         height = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)  # the lowest foot or knee touches
         self.qpos[ids] = np.column_stack([xy, height, yaw.as_quat(scalar_first=True), q])
-        self.qvel[ids, :6] = uniform(-0.5, 0.5, (n, 6))  # m/s and rad/s [lab code]
+        self.qvel[ids, :6] = uniform(-spread, spread, (n, 6))
         state.friction[np.ix_(ids, self.feet, [0])] = uniform(*env_cfg.friction, (n, 1, 1))
         state.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*env_cfg.payload, n)
         state.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*env_cfg.com, (n, 3))

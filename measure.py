@@ -1,9 +1,10 @@
 """Trained policies, measured as in Sections IV-D and V: episodes under the deterministic policy, and their statistics.
 
 Each episode keeps one command. Noise, friction and payload are drawn as in training, the ground is new; every policy
-starts from the same draws. Numbers are interquartile means with 95 % bootstrap intervals, once of the episodes of all
-seeds pooled, as in Table I, and once of the seeds, which is the honest one for three of them. An interquartile mean
-does not see what befalls less than a quarter of the episodes: `summarise` also gives the mean, and `fell` counts falls.
+starts from the same draws, from random poses as in training or from the nominal one. Numbers are means, in Table I
+interquartile means (D26), with 95 % bootstrap intervals: once of the episodes of all seeds pooled, as the paper has it,
+and once of the seeds, which is the honest one for three of them. An interquartile mean does not see what befalls less
+than a quarter of the episodes.
 """
 
 from dataclasses import replace
@@ -29,12 +30,14 @@ class Episodes(NamedTuple):
 
     performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; 0 for the time after a fall
     fell: np.ndarray  # bool, ended before the time limit
-    v_x: np.ndarray  # [m/s] mean body velocity while the episode lasted
+    v_x: np.ndarray  # [m/s] mean speed ahead over ground (D25) while the episode lasted
     v_x_late: np.ndarray  # [m/s] the same over the second half of the time limit, NaN if it ended before
     power: np.ndarray  # [W] mean total power, without the survival bonus
-    energy: np.ndarray  # [J/m] power by v_x (D18), NaN for a robot that hardly moves
-    peak: np.ndarray  # [m/s] largest body velocity (D18)
+    energy: np.ndarray  # [J/m] power by v_x (D18, D27), NaN for a robot that hardly moves
+    peak: np.ndarray  # [m/s] largest speed ahead (D18)
     peak_sustained: np.ndarray  # [m/s] largest mean of 0.2 s
+    pitch: np.ndarray  # [degrees] mean of the trunk's, nose up
+    roll: np.ndarray  # [degrees] mean of the trunk's, right side down
 
 
 @jax.jit
@@ -48,12 +51,15 @@ def deterministic(params):
     return lambda obs: np.asarray(mean_action(params, obs))
 
 
-def load(folder, num_episodes, clip=None, roughness=None, threads=None):
+def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads=None):
     """The `deterministic` policy of a run folder, and a Go1Env to try it in.
 
-    num_episodes: all at once; clip: of Eq. (9); roughness: [m] of the ground; None is as trained
+    num_episodes: all at once; clip: of Eq. (9), roughness: [m] of the ground, None is as trained
+    nominal: start from the nominal pose at rest, not from random poses and velocities as in training
     """
     params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
+    if nominal:
+        env_cfg = replace(env_cfg, start_spread=0.0)
     env_cfg = replace(env_cfg, reward="paper", frame="heading", stagger=False,
                      episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
                      clip=clip or env_cfg.clip, ground_seed=SEED,
@@ -76,25 +82,32 @@ def steps(policy, env, command=None):
 
 def run_episodes(policy, env, command=None):
     """Episodes of every robot of env; arguments as of `steps`."""
-    limit, totals, late = env.env_cfg.episode_steps, np.zeros((4, env.num_envs)), np.zeros((2, env.num_envs))
+    limit, totals, late = env.env_cfg.episode_steps, np.zeros((6, env.num_envs)), np.zeros((2, env.num_envs))
     recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
     peak, sustained = np.full((2, env.num_envs), -np.inf)
     for t, (reward, log, alive, falls) in enumerate(steps(policy, env, command)):
         v_x = log["v_x"]
-        totals += np.where(alive, [reward, v_x, log["power"], np.ones(env.num_envs)], 0.0)
+        ones = np.ones(env.num_envs)
+        totals += np.where(alive, [reward, v_x, log["power"], log["pitch"], log["roll"], ones], 0.0)
         if t >= limit // 2:
-            late += np.where(alive, [v_x, np.ones(env.num_envs)], 0.0)
+            late += np.where(alive, [v_x, ones], 0.0)
         fell |= falls
         recent[t % PEAK_STEPS] = v_x
         peak = np.where(alive, np.maximum(peak, v_x), peak)
         if t + 1 >= PEAK_STEPS:
             sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
-    rewards, distance, spent, length = totals
-    v_x, power = distance / length, spent / length
+    performance, length = totals[0] / limit, totals[-1]
+    v_x, power, pitch, roll = totals[1:-1] / length
     nan = np.full(env.num_envs, np.nan)
     v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
     energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
-    return Episodes(rewards / limit, fell, v_x, v_x_late, power, energy, peak, sustained)
+    return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
+
+
+def finite_mean(x):
+    """Mean of what is finite of x, NaN if nothing is: J/m counts only robots that move, for example."""
+    x = np.ravel(x)[np.isfinite(np.ravel(x))]
+    return x.mean() if x.size else np.nan
 
 
 def iqm(x, axis=None):
@@ -112,17 +125,17 @@ def interval(x, statistic, **options):
     ).confidence_interval
 
 
-def summarise(name, by_seed):
-    """IQM, both intervals, mean, and number of episodes that count, as columns of a CSV.
+def summarise(name, by_seed, statistic=np.mean):
+    """A statistic, both of its intervals, the mean, and the number of episodes that count, as columns of a CSV.
 
-    by_seed: list of (episodes,), one per seed; what is not finite is left out
+    by_seed: list of (episodes,), one per seed; what is not finite is left out. statistic: np.mean or iqm (D26)
     """
     by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
     columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high", "_mean")]
     if not by_seed:
         return dict.fromkeys(columns, np.nan) | {f"{name}_n": 0}
     pooled, seeds = np.concatenate(by_seed), np.arange(len(by_seed))
-    over_episodes = interval(pooled, iqm, batch=100)
-    over_seeds = interval(seeds, lambda drawn: iqm(np.concatenate([by_seed[i] for i in drawn])), vectorized=False)
-    numbers = iqm(pooled), *over_episodes, *over_seeds, pooled.mean()
+    over_episodes = interval(pooled, statistic, batch=100)
+    over_seeds = interval(seeds, lambda drawn: statistic(np.concatenate([by_seed[i] for i in drawn])), vectorized=False)
+    numbers = statistic(pooled), *over_episodes, *over_seeds, pooled.mean()
     return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": len(pooled)}

@@ -18,7 +18,6 @@ import os
 import platform
 import shlex
 import subprocess
-import sys
 import time
 import zipfile
 from dataclasses import asdict
@@ -59,12 +58,9 @@ def replace_file(path, write):
 def save_config(folder, env_cfg, cfg, argv, resume=False):
     """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
     starts = json.loads((folder / "config.json").read_text())["starts"] if resume else []
-    about = dict(
-        command=shlex.join(["python", "train.py", *argv]),
-        commit=commit(),
-        machine=f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}",
-        versions={package: version(package) for package in ("jax", "optax", "mujoco", "numpy")},
-    )
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
+    versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
+    about = dict(command=shlex.join(["python", "train.py", *argv]), commit=commit(), machine=machine, versions=versions)
     record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
@@ -113,9 +109,8 @@ def load_checkpoint(path, template, envs):
         found = arrays["state" + jax.tree_util.keystr(key)]
         if found.shape != np.shape(like):
             raise ValueError(f"{key} has shape {found.shape}, not {np.shape(like)}")
-        if isinstance(like, jax.Array):
-            return jnp.asarray(found)
-        return found if isinstance(like, np.ndarray) else found.item()
+        found = found if isinstance(like, np.ndarray | jax.Array) else found.item()
+        return jnp.asarray(found) if isinstance(like, jax.Array) else found
 
     try:
         state = jax.tree_util.tree_map_with_path(restore, template)
@@ -167,34 +162,24 @@ def load_policy(path):
 
 
 class Log:
-    """metrics.csv and the console line."""
+    """metrics.csv, as it grows."""
 
-    def __init__(self, folder, done, iterations):
+    def __init__(self, folder, done):
         """done: iterations behind us; rows after them are dropped, because they will be computed again."""
-        self.done, self.iterations, self.start = done, iterations, time.monotonic()
-        self.path = folder / "metrics.csv"
+        self.path, self.done, self.start = folder / "metrics.csv", done, time.monotonic()
         kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
         if done and len(kept) < done + 1:
             raise ValueError(f"{self.path} has lost rows: it ends before iteration {done}, where the checkpoint is")
         replace_file(self.path, lambda file: file.write("".join(kept).encode()))
 
     def row(self, iteration, metrics):
-        """Write one row, and what matters of it to the console. Time counts from the last start or resume."""
+        """Write one row, and return it as a dict. Time counts from the last start or resume."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
         with open(self.path, "a", newline="") as file:  # closed at once: a row is on disk before its checkpoint
             csv.writer(file, lineterminator="\n").writerows(([row] if iteration == 1 else []) + [row.values()])
-        left = seconds / new * (self.iterations - iteration) / 60
-        line = (
-            f"{iteration}/{self.iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
-            f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
-            + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
-        )
-        if sys.stdout.isatty():
-            print(f"\r{line}\x1b[K", end="", flush=True)
-        elif iteration % 100 == 0 or iteration == self.iterations:
-            print(line, flush=True)
+        return row
 
 
 def read_metrics(folder):
@@ -209,7 +194,7 @@ def draw_curves(folder):
     from matplotlib.figure import Figure  # slow to import, and only wanted here
 
     columns = read_metrics(folder)
-    panels = dict(reward="task reward per step", v_x="body v_x [m/s]", power="power [W]",
+    panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
                   gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
     figure = Figure(figsize=(12, 6), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):

@@ -81,6 +81,7 @@ class Config:
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
     cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
     ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
+    start_spread: float = 0.5  # [lab code] how far an episode starts from the nominal pose at rest (D35)
     tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
     friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
     payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
@@ -104,7 +105,7 @@ def task_config(task="flat", **changes):
 
 
 MOST_FRICTION = 1.5  # MuJoCo's pyramidal contacts give way the more friction they have: test_no_foot_sinks_in
-MAY_BE_ZERO = ("noise", "clock_hz", "latency", "ground_seed")
+MAY_BE_ZERO = ("start_spread", "noise", "clock_hz", "latency", "ground_seed")
 
 
 def check(num_envs, env_cfg, threads):

@@ -132,6 +132,21 @@ def save(folder, state, envs, params):
         run_folder.draw_commands(folder, envs[0].state.weights)
 
 
+def report(row, iterations):
+    """Print what matters of a row of metrics.csv: a line that rewrites itself, or one in a hundred if none can."""
+    iteration, rate = row["iteration"], row["steps_per_s"]
+    left = (iterations - iteration) * row["steps"] / iteration / max(rate, 0.1) / 60
+    line = (
+        f"{iteration}/{iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
+        f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
+        + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
+    )
+    if sys.stdout.isatty():
+        print(f"\r{line}\x1b[K", end="", flush=True)
+    elif iteration % 100 == 0 or iteration == iterations:
+        print(line, flush=True)
+
+
 def train(folder, env_cfg, cfg, options, argv, asked):
     """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
     policies = 2 if cfg.algo == "eipo" else 1
@@ -142,12 +157,12 @@ def train(folder, env_cfg, cfg, options, argv, asked):
     state = eipo.init_state(env, env_prime, cfg)  # also the template of a saved one
     if options.resume:
         state = run_folder.load_checkpoint(folder / "checkpoint.npz", state, envs)
-    log = run_folder.Log(folder, state.iteration, cfg.iterations)
+    log = run_folder.Log(folder, state.iteration)
     run_folder.save_config(folder, env_cfg, cfg, argv, options.resume)
     print(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
     run = eipo.eipo(env, env_prime, cfg, state) if policies == 2 else eipo.ppo(env, cfg, state)
     for state, metrics in run:
-        log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
+        report(log.row(state.iteration, {name: float(x) for name, x in metrics.items()}), cfg.iterations)
         if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
             save(folder, state, envs, env.dense(state.pi.params))
         if asked:

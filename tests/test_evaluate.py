@@ -74,7 +74,7 @@ def distinct(rows, *columns):
 def figure(out, *argv):
     """Make a figure with two episodes of each of eleven commands; returns the CSV and the size of the PNG."""
     assert evaluate.main([*argv, "--episodes", "22", "--out", str(out)]) == 0
-    assert sorted(path.name for path in out.iterdir()) == [f"{argv[0]}.csv", f"{argv[0]}.png"]
+    assert sorted(path.name for path in out.iterdir() if path.is_file()) == [f"{argv[0]}.csv", f"{argv[0]}.png"]
     with Image.open(out / f"{argv[0]}.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
         return table(out / f"{argv[0]}.csv"), image.size
@@ -161,7 +161,7 @@ def scripted(monkeypatch):
     """Instead of episodes: robot k of the command v_x, in the folder of seed s, performs at 1000 v_x + 8 s + k.
 
     Eight robots per command, of Figs. 2 to 4 only the commands 0, 0.1 and 0.2 m/s. Returns a list of what was loaded:
-    folder, number of episodes, clip, roughness.
+    folder, number of episodes, clip, roughness, whether from the nominal pose.
     """
     loaded = []
 
@@ -187,12 +187,13 @@ def scripted(monkeypatch):
 def unsaved(monkeypatch):
     """Instead of files: a list of the figures that would have been saved."""
     figures = []
+    monkeypatch.setattr(evaluate, "keep_policies", lambda out, folders: None)
     monkeypatch.setattr(evaluate, "save", lambda out, what, rows, drawn: figures.append(drawn))
     return figures
 
 
 def test_a_cell_is_of_its_own_command_and_pools_the_seeds(runs, scripted, tmp_path):
-    """Two seeds of eight: 100 i + 0 ... 15, the middle half is 4 to 11, IQM 7.5; each seed alone 3.5 and 11.5.
+    """Two seeds of eight: 100 i + 0 ... 15, mean 7.5; each seed alone 3.5 and 11.5.
 
     One robot of eight falls.
     """
@@ -205,7 +206,7 @@ def test_a_cell_is_of_its_own_command_and_pools_the_seeds(runs, scripted, tmp_pa
 
 
 def test_a_seed_without_partner_has_no_interval_over_seeds(runs, scripted, tmp_path):
-    """100 i + 0 ... 7: IQM 3.5, energy 0.25 more; one seed says nothing of the next."""
+    """100 i + 0 ... 7: mean 3.5, energy 0.25 more; one seed says nothing of the next."""
     assert evaluate.main(["fig2", runs["flat"], "--episodes", "24", "--out", str(tmp_path)]) == 0
     rows = table(tmp_path / "fig2.csv")
     assert [float(row["performance"]) for row in rows] == [100 * i + 3.5 for i in range(3)]
@@ -296,13 +297,13 @@ def test_figures_are_measured_on_the_ground_that_the_paper_names(runs, scripted,
     """V-B: 15 cm; None is as in training. 26 episodes are 26 // 3 = 8 of each of three commands, so 24."""
     assert evaluate.main([figure, runs[name], "--episodes", "26"]) == 0
     n = dict(fig5=121, table1=26).get(figure, 24)
-    assert scripted == [(runs[name], n, None, roughness)]
+    assert scripted == [(runs[name], n, None, roughness, nominal) for nominal in (False, True)]
 
 
 def test_clip_reaches_the_figures(runs, scripted, unsaved):
     """--clip torque: Eq. (9) as printed, for whatever was trained with the other."""
     assert evaluate.main(["fig3", runs["rough"], "--clip", "torque", "--episodes", "24"]) == 0
-    assert scripted == [(runs["rough"], 24, "torque", 0.15)]
+    assert scripted == [(runs["rough"], 24, "torque", 0.15, nominal) for nominal in (False, True)]
 
 
 @pytest.mark.parametrize("figure, name", [("fig2", "flat"), ("fig3", "rough"), ("fig4", "rough"),
@@ -322,20 +323,64 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch, capsys):
         return measure.Episodes(*np.ones((len(measure.Episodes._fields), env.num_envs)))
 
     monkeypatch.setattr(measure, "run_episodes", run_episodes)
-    assert evaluate.main([runs["rough"], "--clip", "torque", "--roughness", "0.03", "--episodes", "3"]) == 0
-    (env,) = seen
-    assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 3)
+    assert evaluate.main([runs["rough"], "--clip", "torque", "--roughness", "0.03", "--episodes", "22"]) == 0
+    env, nominal = seen
+    assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 22)
+    assert (env.env_cfg.start_spread, nominal.env_cfg.start_spread) == (0.5, 0.0)
     assert np.ptp(env.ground[:, : env.ground.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
 
 
-def test_the_line_of_a_run_by_hand(runs, monkeypatch, capsys):
-    """Two episodes: performance 0.5 and 1.5, one fall, 1 and 3 m/s, 10 and 30 W: means 1, 50 %, 2, 20; 7 J/m."""
-    pairs = dict(performance=(0.5, 1.5), fell=(True, False), v_x=(1, 3), power=(10, 30), energy=(7, 7))
-    columns = {name: np.array(pairs.get(name, (0, 0))) for name in measure.Episodes._fields}
-    monkeypatch.setattr(measure, "run_episodes", lambda mean, env: measure.Episodes(**columns))
-    assert evaluate.main([runs["flat"], "--episodes", "2"]) == 0
-    _, _, row = capsys.readouterr().out.splitlines()
-    assert [cell.strip() for cell in row.split("|")[2:-1]] == ["1.000", "50.0 %", "2.000", "20.0", "7"]
+@pytest.fixture
+def two_episodes(monkeypatch):
+    """Of each of two commands, 0 and 0.1 m/s: performance 0.5 and 1.5, one fall, 1 and 3 m/s, 10 W, one J/m unknown."""
+    pairs = dict(
+        performance=(0.5, 1.5), fell=(True, False), v_x=(1, 3), power=(10, 10), energy=(7, np.nan), pitch=(-2, 4)
+    )
+    columns = {name: np.tile(pairs.get(name, (0, 0)), 2) for name in measure.Episodes._fields}
+    monkeypatch.setattr(measure, "run_episodes", lambda mean, env, commands: measure.Episodes(**columns))
+    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:2])
+
+
+OVERVIEW = dict(performance=1, fell=0.5, performance_nominal=1, fell_nominal=0.5, v_x=2, peak=0, power=10, energy=7,
+                pitch=3, roll=0, v_x_at_0=2)  # fmt: skip
+
+
+def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
+    """Means 1, 50 %, 2 m/s, 10 W; 7 J/m of the robot that moves; pitch |-2| and |4|, 3 degrees."""
+    assert evaluate.main([runs["flat"], "--episodes", "4"]) == 0
+    head, _, row = ([cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines())
+    printed = dict(zip(head, row, strict=True))
+    assert (printed["run"], printed["seed"]) == (Path(runs["flat"]).name, "0")
+    assert {name: float(printed[name]) for name in OVERVIEW} == OVERVIEW
+
+
+def test_seeds_says_when_a_reward_was_reached(runs, two_episodes, tmp_path):
+    """The reward of iteration i is i / 20, the mean of 20 is (i - 9.5) / 20: at 1.2 in the 34th, at 1.35 in the 37th.
+
+    34 times a hundred steps are 0.0034 million; 60 s an iteration, resumed after 10, are 34 minutes.
+    """
+    folder = shutil.copytree(runs["flat"], tmp_path / "run")
+    rows = [f"{i},{100 * i},{i / 20},{60 * (i if i <= 10 else i - 10)}" for i in range(1, 36)]
+    (folder / "metrics.csv").write_text("\n".join(["iteration,steps,reward,time_s", *rows, ""]))
+    assert evaluate.main(["seeds", str(folder), "--episodes", "4", "--out", str(tmp_path / "out")]) == 0
+    (row,) = table(tmp_path / "out" / "seeds.csv")
+    assert [row[c] for c in ("msteps_1.2", "minutes_1.2", "msteps_1.35", "minutes_1.35")] == [
+        "0.0034",
+        "34",
+        "nan",
+        "nan",
+    ]
+    assert {name: float(row[name]) for name in OVERVIEW} == OVERVIEW
+
+
+def test_policies_of_a_figure_are_kept_beside_it(runs, two_episodes, tmp_path):
+    """So that play.py can show the gait behind a number: the same bytes. In its own folder nothing is copied."""
+    (Path(runs["flat"]) / "metrics.csv").write_text("steps,reward,time_s\n" + "1,1,1\n" * 20)
+    assert evaluate.main(["seeds", runs["flat"], "--episodes", "4", "--out", str(tmp_path)]) == 0
+    kept = tmp_path / Path(runs["flat"]).name / "policy.npz"
+    assert kept.read_bytes() == (Path(runs["flat"]) / "policy.npz").read_bytes()
+    evaluate.keep_policies(tmp_path, [kept.parent])
+    (Path(runs["flat"]) / "metrics.csv").unlink()
 
 
 # ---- what goes wrong ----

@@ -138,6 +138,14 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
     assert still(env)[1] == pytest.approx([value], abs=1e-4)
 
 
+@pytest.mark.parametrize(("turn", "expected"), [(("Y", -30), (30, 0)), (("X", 20), (0, 20)), (("Z", 50), (0, 0))])
+def test_attitude(turn, expected):
+    """Nose up is a turn about -y, the right side goes down in one about x, and a heading is neither. Degrees."""
+    env = make(1)
+    place(env, quaternion=Rotation.from_euler(*turn, degrees=True).as_quat(scalar_first=True))
+    assert env.attitude()[:, 0] == pytest.approx(expected, abs=1e-9)
+
+
 # ---- V-E: the shaped reward of reference [5] ----
 
 
