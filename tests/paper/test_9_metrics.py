@@ -75,7 +75,7 @@ def test_commands_are_kept_and_seen_from_the_first_frame():
 
 
 def test_iqm_by_hand():
-    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 to 99^2 it is 25^2 to 74^2."""
+    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 ... 99^2: 25^2 ... 74^2."""
     for greatest in (7.0, 1000.0):
         assert measure.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
     assert measure.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
