@@ -193,9 +193,7 @@ def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
     assert path.read_bytes() == b"old"
 
 
-def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(
-    finished, tmp_path, capsys, monkeypatch
-):
+def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys, monkeypatch):
     """An untrained policy scores between nothing and everything; what is no run folder is one line."""
     monkeypatch.setattr(measure, "EPISODE_STEPS", 16)
     params, env_cfg = run_folder.load_policy(finished / "policy.npz")
