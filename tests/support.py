@@ -50,7 +50,7 @@ def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,)
 
 NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, go1.Q_NOMINAL
 LEGS = ("FR", "FL", "RR", "RL")
-UPRIGHT = (1, 0, 0, 0)
+UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
 FROZEN = dict(timestep=1e-9)  # a physics step of a nanosecond keeps any state still that a test writes
 
 

@@ -10,7 +10,21 @@ from math import exp
 import mujoco
 import numpy as np
 import pytest
-from support import FROZEN, NOMINAL, UPRIGHT, frames, make, place, random_actions, run, same_bits, soles, still
+from support import (
+    FROZEN,
+    NOMINAL,
+    ON_ITS_BACK,
+    ON_ITS_SIDE,
+    UPRIGHT,
+    frames,
+    make,
+    place,
+    random_actions,
+    run,
+    same_bits,
+    soles,
+    still,
+)
 
 import energy
 import go1
@@ -19,7 +33,7 @@ import tasks
 from go1_env import Go1Env
 
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)
-ON_ITS_BACK, ON_ITS_SIDE, TO_THE_LEFT = (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0), (0.5**0.5, 0, 0, 0.5**0.5)
+TO_THE_LEFT = (0.5**0.5, 0, 0, 0.5**0.5)
 TINY = 1e-4  # what moves in some hundred nanoseconds nevertheless: the clock
 ACTION = slice(30, 42)  # the previous action within a frame of 44
 
@@ -155,13 +169,9 @@ def test_action_is_clipped():
         ("flat", (0, 0, 0), (0.0, 0.0, 0.5), 1 + 0.5 * exp(-1)),
         ("rough", (1, 0, 0), (1.5, 0.0, 0.0), 1.15),
         ("rough", (1, 0, 0), (0.5, 0.0, 0.0), exp(-1) + 0.15),
-        ("rough", (1, 0, 0), (1.0, -0.5, 0.0), 1.1 + 0.05 * exp(-1)),
-        ("rough", (1, 0, 0), (1.0, 0.0, 0.5), 1.05 + 0.1 * exp(-1)),
-        ("rough", (1, 0, 0), (0.5, 0.5, -0.5), 1.15 * exp(-1)),
+        ("rough", (1, 0, 0), (1.0, -0.5, 0.5), 1 + 0.15 * exp(-1)),
         ("velocity", (0, 0, 0), (3.0, 0.0, 0.0), 3.0),
         ("velocity", (0, 0, 0), (-2.0, 0.0, 0.0), -2.0),  # running backwards costs
-        ("velocity", (0, 0, 0), (3.0, 0.5, 0.0), 3 * exp(-1)),
-        ("velocity", (0, 0, 0), (3.0, 0.0, -0.5), 3 * exp(-1)),
         ("velocity", (0, 0, 0), (-2.0, -0.5, 0.5), -2 * exp(-2)),
         ("curriculum", (1, 0, 0), (1.5, 0.0, 0.0), exp(-1) + 0.5),  # faster than asked: an error
         ("curriculum", (1, 0, 0), (1.0, 0.5, 0.5), exp(-1) + 0.5 * exp(-1)),
@@ -235,25 +245,6 @@ def plain_step(model, robot, action):
 
 
 # ---- the end of an episode ----
-
-
-@pytest.mark.parametrize(
-    ("quaternion", "height", "thigh", "terminates"),
-    [
-        (ON_ITS_BACK, 0.056, 0.8, True),
-        (UPRIGHT, 0.056, 3.0, True),
-        (ON_ITS_SIDE, 0.14, 0.8, True),
-        (UPRIGHT, 0.4, 0.8, False),
-    ],
-    ids=["back", "belly, legs up", "side, on the hips", "in the air"],
-)
-def test_a_fall_terminates(quaternion, height, thigh, terminates):
-    """D13: the trunk's half height is 0.057 m, a hip reaches 0.147 m to the side; 1 mm into the ground is a fall."""
-    env = make()
-    place(env, np.tile([0.0, thigh, -1.5], 4), height=height, quaternion=quaternion)
-    _, _, terminated, truncated, info = still(env)
-    assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [terminates] * 2
-    assert not truncated.any() and not info["log"]["ended_diverged"].any()
 
 
 def test_terminated_and_truncated_exclude_each_other():

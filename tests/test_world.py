@@ -5,6 +5,7 @@ from math import cos, pi, sin
 import mujoco
 import numpy as np
 import pytest
+import support
 from scipy.spatial.transform import Rotation
 from support import FROZEN, LEGS, NOMINAL, make, place, random_actions, same_bits, soles, still
 
@@ -247,17 +248,31 @@ def test_no_foot_is_caught_in_the_ground(roughness):
 # ---- what the tasks differ in: contacts and motors ----
 
 
+SOME = ["velocity", "curriculum"]  # where nothing but the feet may touch the ground
+
+
 @BOTH
 @pytest.mark.parametrize(
-    ("height", "ends"),
-    [(0.44, []), (0.41, ["velocity", "curriculum"]), (0.21, list(tasks.TASKS))],
-    ids=["feet", "shins", "thighs"],
+    ("quaternion", "height", "q", "ends"),
+    [
+        (support.UPRIGHT, 0.4, NOMINAL, []),
+        (support.UPRIGHT, 0.44, np.zeros(12), []),
+        (support.UPRIGHT, 0.41, np.zeros(12), SOME),
+        (support.UPRIGHT, 0.21, np.zeros(12), tasks.TASKS),
+        (support.ON_ITS_BACK, 0.056, np.tile([0.0, 0.8, -1.5], 4), tasks.TASKS),
+        (support.UPRIGHT, 0.056, np.tile([0.0, 3.0, -1.5], 4), tasks.TASKS),
+        (support.ON_ITS_SIDE, 0.14, np.tile([0.0, 0.8, -1.5], 4), tasks.TASKS),
+    ],
+    ids=["in the air", "feet", "shins", "thighs", "back", "belly, legs up", "side, on the hips"],
 )
 @pytest.mark.parametrize("task", tasks.TASKS)
-def test_what_may_touch_the_ground(task, height, ends, roughness):
-    """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m."""
+def test_what_may_touch_the_ground(task, quaternion, height, q, ends, roughness):
+    """IV-A.3, D13. Legs straight, down from the trunk: soles 0.446 m, shins 0.413 m, thighs 0.217 m.
+
+    The trunk's half height is 0.057 m, a hip reaches 0.147 m to the side; 1 mm into the ground is a fall.
+    """
     env = make(task=task, roughness=roughness, max_power=None, **FROZEN)
-    place(env, np.zeros(12), height=height)
+    place(env, q, height=height, quaternion=quaternion)
     _, _, terminated, truncated, info = still(env)
     assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [task in ends] * 2
     assert not truncated.any() and not info["log"]["ended_diverged"].any()
