@@ -19,6 +19,8 @@ import eipo
 import networks
 from eipo import Dual
 
+policy = jax.jit(networks.policy)
+
 
 class Probe:
     """16 environments with episodes of `length` steps. One sees x, drawn from -1 and 1, and t; x + t is privileged.
@@ -185,7 +187,7 @@ def test_algorithm1_policies_share_no_luck(with_effort):
     noise = []
     for diary, name in ((env.diary, "pi"), (env_prime.diary, "pi_prime")):
         for t, (obs, action) in enumerate(diary):
-            mean, std, _ = networks.policy(getattr(states[t // 8][0], name).params, obs)
+            mean, std, _ = policy(getattr(states[t // 8][0], name).params, obs)
             noise.append((action - np.asarray(mean)) / np.asarray(std))
     assert len(noise) == 32
     assert np.unique(np.round(noise, 4)).size > 0.95 * np.size(noise)
@@ -325,7 +327,7 @@ def values(state, t=0):
 
 def means(learner):
     """Mean actions where x is -1 and where it is 1."""
-    return np.asarray(networks.policy(learner.params, at(0)[0])[0])[:, 0]
+    return np.asarray(policy(learner.params, at(0)[0])[0])[:, 0]
 
 
 def near(x):
@@ -360,7 +362,7 @@ def test_estimator_learns_what_is_privileged(after_two_steps):
     """x + t, from an observation of x and t."""
     for t in (0, 1):
         obs, privileged = at(t)
-        estimate = networks.policy(after_two_steps.pi.params, obs)[2]
+        estimate = policy(after_two_steps.pi.params, obs)[2]
         assert np.ravel(estimate) == near(np.ravel(privileged))
 
 

@@ -17,6 +17,7 @@ import networks
 from eipo import Rollout
 
 KEY = jax.random.key(0)
+policy = jax.jit(networks.policy)
 
 # ---- IV-C.b: the networks ----
 
@@ -34,7 +35,7 @@ def test_networks_init_range():
 
     17 * 64 and 4 * 256 draws come within 1 % of both ends.
     """
-    first, last = networks.init_mlp(KEY, [(16, 4), (64, 256), (4, 0)])
+    first, last = jax.jit(networks.init_mlp, static_argnums=1)(KEY, ((16, 4), (64, 256), (4, 0)))
     assert [x.shape for x in (*first, *last)] == [(16, 64), (4, 256), (64,), (64, 4), (256, 0), (4,)]
     for x, end in ((np.concatenate([first.even, first.bias[None]]), 0.25), (first.odd, 0.5)):
         assert -end <= x.min() < -0.99 * end and 0.99 * end < x.max() <= end and abs(x.mean()) < 0.08 * end
@@ -47,7 +48,7 @@ def test_networks_who_sees_what():
     obs = 3, privileged = 5: mean 51, estimate 6, value 3 + 40 = 43.
     """
     params = handmade(critic=((1.0,), (8.0,)), estimator=((2.0,),), actor=((1.0,), (8.0,)))
-    mean, std, estimate = networks.policy(params, jnp.array([3.0]))
+    mean, std, estimate = policy(params, jnp.array([3.0]))
     assert (mean.tolist(), std.tolist(), estimate.tolist()) == ([51], [1], [6])
     assert networks.value(params, jnp.array([3.0]), jnp.array([5.0])).tolist() == [43]
 
@@ -56,7 +57,7 @@ def test_networks_noise():
     """log_std = -1: the noise is exp(-1), the same for every observation."""
     params = handmade()
     params["actor"]["log_std"] = jnp.array([-1.0])
-    assert networks.policy(params, jnp.ones((2, 1)))[1] == pytest.approx(np.full((2, 1), 0.36787944))
+    assert policy(params, jnp.ones((2, 1)))[1] == pytest.approx(np.full((2, 1), 0.36787944))
 
 
 def test_networks_log_prob():
@@ -172,10 +173,12 @@ def test_mirrored_layer_by_hand():
 
 def new_policy(is_mirrored=True):
     """An environment in even and odd coordinates, and a policy for it. Noise makes every weight count."""
-    env = networks.EvenOdd(make(8, noise=1.0), is_mirrored)
-    cfg = eipo.Config(num_envs=8, algo="ppo", hidden=(16, 8), hidden_estimator=(6, 4))
-    params = eipo.init_state(env, None, cfg).pi.params
-    params["actor"]["log_std"] += jnp.arange(len(params["actor"]["log_std"])) / 8
+    env, rng = networks.EvenOdd(make(8, noise=1.0), is_mirrored), np.random.default_rng(0)
+    cfg = replace(EIPO, hidden=(16, 8), hidden_estimator=(6, 4))
+    sizes = env.obs_size, env.privileged_size, env.action_size
+    shapes = jax.eval_shape(lambda key: eipo.init_learner(key, sizes, 2, cfg).params, KEY)  # nothing to compile
+    params = jax.tree.map(lambda x: np.float32(rng.normal(size=x.shape) / 8), shapes)
+    params["actor"]["log_std"] = np.arange(len(params["actor"]["log_std"])) / np.float32(8)
     return env, params
 
 
@@ -189,7 +192,7 @@ def test_a_mirrored_observation_gets_a_mirrored_action():
     scene = dict(obs=first_obs, privileged=info["privileged"], action=np.random.default_rng(0).normal(size=12))
 
     def answers(obs, privileged, action):
-        mean, std, estimate = networks.policy(params, np.float32(obs) @ env.obs)
+        mean, std, estimate = policy(params, np.float32(obs) @ env.obs)
         value = networks.value(params, np.float32(obs) @ env.obs, privileged @ env.privileged)
         likely = networks.log_prob(mean, std, mean + np.float32(action) @ env.action)
         return mean @ env.action.T, estimate @ env.privileged.T, value, likely
@@ -208,8 +211,8 @@ def test_dense_is_the_same_policy(is_mirrored):
     dense = env.dense(params)
     assert [layer.even.shape for layer in dense["actor"]["layers"]] == [(223, 16), (16, 8), (8, 12)]
     obs, _ = env.env.reset(1)
-    mean, _, estimate = networks.policy(params, obs @ env.obs)
-    there = networks.policy(dense, obs)
+    mean, _, estimate = policy(params, obs @ env.obs)
+    there = policy(dense, obs)
     np.testing.assert_allclose(there[0], mean @ env.action.T, atol=1e-5)
     np.testing.assert_allclose(there[2], estimate @ env.privileged.T, atol=1e-5)
     if is_mirrored:  # FR hip and FL hip share a pair, and so on
