@@ -318,7 +318,7 @@ def main(argv):
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
     parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
-    parser.add_argument("--out", default=".", type=Path, help="folder for the PNG and the CSV (default: here)")
+    parser.add_argument("--out", type=Path, help="folder for PNG, CSV and policies (default: here, without policies)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument(
@@ -339,9 +339,11 @@ def main(argv):
         elif not folders:
             raise ValueError(f"{what} of which runs? Give run folders")
         else:
-            args.out.mkdir(parents=True, exist_ok=True)
-            save(args.out, what, *FIGURES[what](folders, args))
-            keep_policies(args.out, folders)
+            out = args.out or Path()
+            out.mkdir(parents=True, exist_ok=True)
+            save(out, what, *FIGURES[what](folders, args))
+            if args.out:
+                keep_policies(out, folders)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

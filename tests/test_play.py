@@ -13,13 +13,12 @@ from pathlib import Path
 
 import glfw
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from support import DAMAGES, error_of, make_run
 
-import eipo
 import go1
 import go1_env
 import networks
@@ -39,32 +38,11 @@ needs_gl = pytest.mark.skipif(
 )
 
 
-def make_run(folder, task, seed=0, action=None):
-    """A run folder that holds an untrained policy; action: what it answers to everything, if not what it likes."""
-    env_cfg = tasks.task_config(task, history=2)
-    cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,))
-    learner = eipo.init_learner(jax.random.key(seed), ((2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)), 2, cfg)
-    if action is not None:
-        last = learner.params["actor"]["layers"][-1]
-        last = last._replace(even=jnp.zeros_like(last.even), bias=jnp.full_like(last.bias, action))
-        learner.params["actor"]["layers"][-1] = last
-    folder.mkdir(exist_ok=True)
-    run_folder.save_policy(folder / "policy.npz", learner.params, env_cfg)
-    return folder
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
+    """A run folder of three tasks."""
     base = tmp_path_factory.mktemp("runs")
     return {task: make_run(base / task, task) for task in ("flat", "rough", "velocity")}
-
-
-def error_of(capsys, *argv):
-    """The one line that a failing command prints."""
-    assert play.main([str(x) for x in argv]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("play.py: ")
-    return line
 
 
 # ---- the policy elsewhere ----
@@ -165,30 +143,28 @@ def test_without_opengl_two_lines_say_what_to_do(runs, tmp_path):
     assert done.stdout == "[2, 2]\n" and "--gif" in window and "libegl1" in gif
 
 
-@pytest.mark.parametrize("argv", [[], ["--gif", "a.gif"], ["--follow"]])
-def test_what_is_no_run_folder_is_one_line(tmp_path, capsys, argv):
-    assert str(tmp_path / "none") in error_of(capsys, tmp_path / "none", *argv)
-
-
-def test_a_truncated_policy_is_one_line(runs, tmp_path, capsys):
-    (tmp_path / "policy.npz").write_bytes((runs["flat"] / "policy.npz").read_bytes()[:-500])
-    assert str(tmp_path) in error_of(capsys, tmp_path)
-
-
-def test_negative_roughness_is_one_line(runs, capsys):
-    assert "roughness" in error_of(capsys, runs["rough"], "--roughness", "-1")
-
-
-@pytest.mark.parametrize("seconds", ["0", "-3", "0.02", "inf", "nan"])
-def test_a_gif_without_frames_or_without_end_is_one_line(runs, tmp_path, capsys, seconds):
-    assert "--seconds" in error_of(capsys, runs["flat"], "--gif", tmp_path / "a.gif", "--seconds", seconds)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", ["none/a.gif", "a.png"])
-def test_a_gif_that_cannot_be_written_is_one_line_before_anything_is_drawn(runs, tmp_path, capsys, monkeypatch, name):
+@pytest.mark.parametrize(
+    "run, argv, says",
+    [
+        ("none", "", "none"),
+        ("none", "--gif a.gif", "none"),
+        ("none", "--follow", "none"),
+        ("truncated", "", "truncated"),
+        ("rough", "--roughness -1", "roughness"),
+        *(("flat", f"--gif a.gif --seconds {x}", "--seconds") for x in ("0", "-3", "0.02", "inf", "nan")),
+        ("flat", "--gif none/a.gif", "none/a.gif"),
+        ("flat", "--gif a.png", "a.png"),
+    ],
+)
+def test_what_goes_wrong_is_one_line_before_anything_is_drawn(runs, tmp_path, capsys, monkeypatch, run, argv, says):
+    """What is no run folder or no policy; no ground; a GIF without frames, without end or without a place."""
     monkeypatch.setattr(play, "make_scene", None)
-    assert name in error_of(capsys, runs["flat"], "--gif", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    if run == "truncated":
+        DAMAGES[run](make_run(tmp_path / run) / "policy.npz")
+    before = sorted(tmp_path.rglob("*"))
+    assert says in error_of(capsys, play.main, runs.get(run, run), *argv.split())
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 # ---- what is played ----
@@ -196,17 +172,13 @@ def test_a_gif_that_cannot_be_written_is_one_line_before_anything_is_drawn(runs,
 
 @pytest.mark.parametrize(
     "task, argv, command",
-    [
-        ("flat", [], [1, 0, 0]),
-        ("velocity", [], [0, 0, 0]),
-        ("flat", ["--command", "0.5", "-0.25", "2"], [0.5, -0.25, 2]),
-    ],
+    [("flat", "", [1, 0, 0]), ("velocity", "", [0, 0, 0]), ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2])],
 )
 def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
     monkeypatch.setattr(play, "HEADLESS", False)
     monkeypatch.setattr(play, "watch", lambda env, steps, asked: seen.append((next(steps), env, asked)))
-    assert play.main([str(runs[task]), *argv]) == 0
+    assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, env, asked),) = seen
     assert asked.tolist() == command and env.state.command.tolist() == [command] and log["command_x"] == command[:1]
 

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import DAMAGES, contents, error_of
 
 import evaluate
+import measure
 import run_folder
 import train
 
@@ -21,16 +23,12 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estima
 
 
 def run(*flags):
-    """Train in this process; returns the exit status. Two iterations unless told otherwise."""
-    return train.main([*TINY, "--iterations", "2", *map(str, flags)])
+    """Train in this process, two iterations unless told otherwise."""
+    assert train.main([*TINY, "--iterations", "2", *map(str, flags)]) == 0
 
 
-def error_of(capsys, *flags):
-    """The one line that a failing command prints; a resumed one is given nothing else, any other is tiny."""
-    assert (train.main(list(map(str, flags))) if "--resume" in flags else run(*flags)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("train.py: ")
-    return line
+def resume(folder, *flags):
+    assert train.main(["--out", str(folder), "--resume", *map(str, flags)]) == 0
 
 
 def rows(folder):
@@ -44,7 +42,7 @@ def rows(folder):
 def finished(tmp_path_factory):
     """A run of 20 iterations that nobody disturbed."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    assert run("--iterations", 20, "--out", folder) == 0
+    run("--iterations", 20, "--out", folder)
     return folder
 
 
@@ -64,8 +62,13 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     command = [sys.executable, ROOT / "train.py", *TINY, "--task", "flat", "--iterations", "2", "--out", "mine"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    names = {"config.json", "metrics.csv", "checkpoint.npz", "policy.npz", "curves.png"}
-    assert {path.name for path in (tmp_path / "mine").iterdir()} == names
+    assert set(contents(tmp_path / "mine")) == {
+        "config.json",
+        "metrics.csv",
+        "checkpoint.npz",
+        "policy.npz",
+        "curves.png",
+    }
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
     assert [row[0] for row in rows(tmp_path / "mine")] == ["iteration", "1", "2"]
     record = json.loads((tmp_path / "mine" / "config.json").read_text())
@@ -74,10 +77,10 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     assert "--iterations 2" in start["command"] and start["versions"]["mujoco"]
 
 
-def test_equal_seeds_equal_runs(finished, tmp_path):
-    assert run("--iterations", 20, "--out", tmp_path) == 0
-    assert rows(tmp_path) == rows(finished)
-    assert run("--iterations", 3, "--seed", 1, "--out", tmp_path / "other") == 0
+def test_equal_seeds_equal_runs_with_any_number_of_threads(finished, tmp_path):
+    run("--iterations", 3, "--threads", 2, "--out", tmp_path / "same")
+    assert rows(tmp_path / "same") == rows(finished)[:4]
+    run("--iterations", 3, "--seed", 1, "--out", tmp_path / "other")
     assert rows(tmp_path / "other")[3] != rows(finished)[3]
 
 
@@ -86,7 +89,7 @@ def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_pat
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    assert run("--iterations", 20, "--out", tmp_path, "--resume") == 0
+    run("--iterations", 20, "--out", tmp_path, "--resume")
     assert rows(tmp_path) == rows(finished)
 
 
@@ -113,9 +116,9 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
     ids=" ".join,
 )
 def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
-    assert run(*flags, "--iterations", 6, "--out", tmp_path / "long") == 0
-    assert run(*flags, "--iterations", 3, "--out", tmp_path / "short") == 0
-    assert train.main(["--out", str(tmp_path / "short"), "--resume", "--iterations", "6"]) == 0
+    run(*flags, "--iterations", 6, "--out", tmp_path / "long")
+    run(*flags, "--iterations", 3, "--out", tmp_path / "short")
+    resume(tmp_path / "short", "--iterations", 6)
     assert rows(tmp_path / "short") == rows(tmp_path / "long")
     assert run_folder.load_config(tmp_path / "short") == run_folder.load_config(tmp_path / "long")
     starts = json.loads((tmp_path / "short" / "config.json").read_text())["starts"]
@@ -133,126 +136,48 @@ def test_metrics_are_read_as_columns(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "task, history, lam, iterations",
-    [("flat", 5, 0.005, 4000), ("rough", 10, 0.0002, 4000), ("velocity", 10, 0.0002, 10_000)],
-)
-def test_paper_settings_of_each_task(task, history, lam, iterations):
-    """V-A, V-B, V-D: H, the first lambda and the length of training; whatever is given wins, the rest stays."""
-    env_cfg, cfg = train.settle(dict(task=task), {})
-    assert (env_cfg.task, env_cfg.history, cfg.lam, cfg.iterations) == (task, history, lam, iterations)
-    env_cfg, cfg = train.settle(dict(task=task, history=3), dict(lam=0.5))
-    assert (env_cfg.task, env_cfg.history, cfg.lam, cfg.iterations) == (task, 3, 0.5, iterations)
-
-
-def test_threads_do_not_change_the_numbers(finished, tmp_path):
-    assert run("--iterations", 3, "--threads", 2, "--out", tmp_path) == 0
-    assert rows(tmp_path) == rows(finished)[:4]
-
-
-@pytest.mark.parametrize(
     "flags, says",
     [
-        (["--task", "moon"], "moon"),
-        (["--algo", "sac"], "sac"),
-        (["--num-envs", "-4"], "num_envs"),
-        (["--num-envs", "3"], "even"),
-        (["--iterations", "0"], "iterations"),
-        (["--checkpoint-every", "0"], "checkpoint_every"),
-        (["--threads", "-1"], "threads"),
-        (["--seed", "-1"], "seed"),
-        (["--lam", "nan"], "lam"),
-        (["--lam", "-0.1"], "lam"),
-        (["--lam", "0"], "lam"),
-        (["--lr", "inf"], "lr"),
-        (["--history", "0"], "history"),
-        (["--log-std", "2"], "log_std"),
-        (["--seed", "5000000000"], "seed"),
-        (["--algo", "ppo", "--alpha0", "100"], "alpha0"),
-        (["--hidden", "0"], "hidden"),
-        (["--clip", "voltage"], "voltage"),
-        (["--friction", "1", "0"], "friction"),
-        (["--payload", "nan", "1"], "payload"),
-        (["--friction", "1"], "friction"),
-        (["--timestep", "0"], "timestep"),
-        (["--noise", "nan"], "noise"),
-        (["--roughness", "0.15", "0"], "roughness"),
-        (["--cells-per-m", "11"], "cells_per_m"),
+        (["--resume", "--lr", 0.1], "--lr"),
+        (["--resume", "--iterations", 4], "--iterations"),
+        (["--resume", "--seed", 3], "--seed"),
+        (["--resume", "--noise", 0.5], "--noise"),
+        (["--iterations", 20], "--resume"),
     ],
 )
-def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, flags, says):
-    assert says in error_of(capsys, *flags, "--out", tmp_path / "run")
-    assert not (tmp_path / "run").exists()
+def test_a_run_is_never_overwritten_and_keeps_its_settings(finished, capsys, flags, says):
+    before = contents(finished)
+    assert says in error_of(capsys, train.main, "--out", finished, *flags)
+    assert contents(finished) == before
+
+
+def other_network(path):
+    """The same checkpoint with one array of another shape."""
+    arrays = run_folder.read_npz(path)
+    np.savez(path, **arrays | {next(name for name in arrays if "actor" in name): np.ones((2, 2))})
 
 
 @pytest.mark.parametrize(
-    "flags", [["--num-envs", "many"], ["--threads", "many"], ["--speed", "3"], ["--iter", "2"], ["--lr"]]
+    "file, damage",
+    [
+        *((file, damage) for file in ("checkpoint.npz", "config.json") for damage in DAMAGES.values()),
+        ("checkpoint.npz", other_network),
+        ("metrics.csv", lambda path: path.write_text("iteration\n")),  # the checkpoint is of a longer run
+        ("config.json", lambda path: path.write_text("{")),
+    ],
 )
-def test_flags_that_do_not_parse_are_one_line(capsys, flags):
-    with pytest.raises(SystemExit, match="2"):
-        train.main(flags)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert flags[0] in line
-
-
-def test_none_switches_off_what_a_task_sets():
-    """IV-A.4: the curriculum ends an episode at 800 W, unless told otherwise."""
-    limits = [train.settle(*train.parse(["--task", "curriculum", *flags])[1:])[0].max_power
-              for flags in ([], ["--max-power", "none"], ["--max-power", "700"])]  # fmt: skip
-    assert limits == [800.0, None, 700.0]
-
-
-def test_a_run_is_never_overwritten(finished, capsys):
-    before = {path.name: path.read_bytes() for path in finished.iterdir()}
-    assert "--resume" in error_of(capsys, "--iterations", 20, "--out", finished)
-    assert {path.name: path.read_bytes() for path in finished.iterdir()} == before
-
-
-@pytest.mark.parametrize("flags, says", [(["--lr", 0.1], "--lr"), (["--iterations", 4], "--iterations"),
-                                         (["--seed", 3], "--seed"), (["--noise", 0.5], "--noise")])  # fmt: skip
-def test_a_resumed_run_keeps_its_settings(finished, capsys, flags, says):
-    assert says in error_of(capsys, "--out", finished, "--resume", *flags)
-
-
-def damage(kind, folder):
-    checkpoint = folder / "checkpoint.npz"
-    if kind == "missing":
-        checkpoint.unlink()
-    elif kind == "truncated":
-        checkpoint.write_bytes(checkpoint.read_bytes()[:-1000])
-    elif kind == "empty":
-        checkpoint.write_bytes(b"")
-    elif kind == "not an archive":
-        checkpoint.write_text("hello")
-    elif kind == "of another program":
-        np.savez(checkpoint, weights=np.ones(3))
-    elif kind == "of another network":
-        arrays = run_folder.read_npz(checkpoint)
-        wrong = next(name for name in arrays if "actor" in name)
-        np.savez(checkpoint, **arrays | {wrong: np.ones((2, 2))})
-    elif kind == "of a longer run":
-        (folder / "metrics.csv").write_text("iteration\n")
-    elif kind == "config damaged":
-        (folder / "config.json").write_text("{")
-    elif kind == "config missing":
-        (folder / "config.json").unlink()
-
-
-KINDS = ["missing", "truncated", "empty", "not an archive", "of another program", "of another network",
-         "of a longer run", "config damaged", "config missing"]  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, kind):
-    assert run("--iterations", 2, "--out", tmp_path) == 0
-    damage(kind, tmp_path)
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert str(tmp_path) in error_of(capsys, "--out", tmp_path, "--resume")
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, finished, file, damage):
+    for name, content in contents(finished).items():
+        (tmp_path / name).write_bytes(content)
+    damage(tmp_path / file)
+    before = contents(tmp_path)
+    assert str(tmp_path) in error_of(capsys, train.main, "--out", tmp_path, "--resume")
+    assert contents(tmp_path) == before
 
 
 def test_an_unwritable_folder_is_one_line(tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
-    assert "file" in error_of(capsys, "--out", tmp_path / "file" / "run")
+    assert "file" in error_of(capsys, train.main, *TINY, "--out", tmp_path / "file" / "run")
 
 
 def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
@@ -268,16 +193,16 @@ def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
     assert path.read_bytes() == b"old"
 
 
-def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys):
+def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys, monkeypatch):
     """An untrained policy scores between nothing and everything; what is no run folder is one line."""
+    monkeypatch.setattr(measure, "EPISODE_STEPS", 16)
     params, env_cfg = run_folder.load_policy(finished / "policy.npz")
     assert env_cfg.history == 2 and params["actor"]["layers"][0][0].shape == (91, 8)
     assert evaluate.main([str(finished), "--episodes", "11", "--clip", "power"]) == 0
     header, _, row = capsys.readouterr().out.splitlines()
     head, cells = ([x.strip() for x in line.split("|")[1:-1]] for line in (header, row))
     assert 0 < float(dict(zip(head, cells, strict=True))["performance"]) < 1.5
-    assert evaluate.main([str(tmp_path)]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    error_of(capsys, evaluate.main, tmp_path)
 
 
 def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
@@ -285,7 +210,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     made = []
     environment = train.go1_env.Go1Env
     monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
-    assert run("--task", "curriculum", "--out", tmp_path / "run") == 0
+    run("--task", "curriculum", "--out", tmp_path / "run")
     env, env_prime = made
     env_prime.state.cell[:], env_prime.state.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
     env_prime._draw_commands(np.array([0]))

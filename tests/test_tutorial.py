@@ -22,7 +22,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 if __name__ == "__main__":
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+    sys.path.insert(0, str(ROOT))
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import eipo
@@ -33,6 +33,7 @@ from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
 BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
+TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 MODULES = {path.stem for path in ROOT.glob("*.py")} | {"tutorial"}
@@ -57,7 +58,7 @@ def rerun(code, scope):
 
 def run_page():
     """The page with all its python blocks run in order in one namespace, in the root of the repository."""
-    scope, before = {"__name__": "tutorial"}, list(sys.path)
+    scope = {"__name__": "tutorial"}
 
     def replace(match):
         kind, content = match.groups()
@@ -66,10 +67,7 @@ def run_page():
         return f"```python\n{rerun(content, scope)}```"
 
     with contextlib.chdir(ROOT):
-        try:
-            return BLOCK.sub(replace, PAGE.read_text())
-        finally:
-            sys.path[:] = before
+        return BLOCK.sub(replace, PAGE.read_text())
 
 
 def alike(shown, printed):
@@ -177,7 +175,7 @@ def test_excerpt_needs_every_character():
 
 def test_names_and_files_in_the_prose_exist():
     prose = BLOCK.sub("", PAGE.read_text())
-    tests = "".join(path.read_text() for path in (ROOT / "tests").glob("test_*.py"))
+    tests = "".join(path.read_text() for path in TESTS)
     named = set(re.findall(r"`([^`\n]+)`", prose))
     for name in named:
         if re.fullmatch(r"test_\w+", name):
@@ -228,7 +226,7 @@ def sabotaged(path, diff):
 @pytest.mark.parametrize(("file", "test", "diff"), SABOTAGES, ids=[test for _, test, _ in SABOTAGES])
 def test_sabotages_fit_the_source(file, test, diff):
     ast.parse(sabotaged(ROOT / file, diff))
-    assert sum(f"def {test}(" in path.read_text() for path in (ROOT / "tests").glob("test_*.py")) == 1
+    assert sum(f"def {test}(" in path.read_text() for path in TESTS) == 1
 
 
 @pytest.mark.slow
@@ -240,13 +238,13 @@ def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, tmp_path):
     for path in [*ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"]:
         shutil.copy(path, copy)
     shutil.copytree(ROOT / "tests", copy / "tests")
-    home = next(p.name for p in (ROOT / "tests").glob("test_*.py") if f"def {test}(" in p.read_text())
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"tests/{home}", "-k", test]
+    (home,) = (str(path.relative_to(ROOT)) for path in TESTS if f"def {test}(" in path.read_text())
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", home, "-k", test]
     before = subprocess.run(command, cwd=copy, capture_output=True, text=True)
     assert before.returncode == 0, before.stdout
     (copy / file).write_text(sabotaged(copy / file, diff))
     after = subprocess.run(command, cwd=copy, capture_output=True, text=True)
-    assert after.returncode == 1 and f"FAILED tests/{home}::{test}" in after.stdout, after.stdout
+    assert after.returncode == 1 and f"FAILED {home}::{test}" in after.stdout, after.stdout
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Algorithm 1 as a whole: its lines in order, its two policies, its multiplier; a toy with a known answer; probes.
+"""Section III: Algorithm 1 as a whole. Its rollouts, lines, two policies and multiplier; a toy; probes.
 
-The probes, after Andy Jones, are environments so small that the right answer is plain: one that fails says which part
-is broken. All tests share two Configs, one of EIPO and one of PPO, so that JAX compiles each function once for each.
+The toy has a known answer. The probes, after Andy Jones, are environments so small that the right answer is plain: one
+that fails says which part is broken.
 """
 
 import inspect
@@ -10,17 +10,14 @@ from dataclasses import replace
 from itertools import islice
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_eipo import CONFIG, plain
+from support import EIPO, handmade, trees_equal
+from toy import capped, climb_capped, climb_smooth, smooth, toy
 
 import eipo
 import networks
 from eipo import Dual
-
-EIPO = replace(CONFIG, algo="eipo")  # one set of numbers for both files: JAX compiles once
-PPO = replace(EIPO, algo="ppo")  # on Eq. (2): r - 4 f
 
 
 class Probe:
@@ -73,15 +70,11 @@ def effort(x, t, a):
     return a**2
 
 
-def run(env, env_prime, cfg, iterations, state=None, **options):
-    """[(State, metrics)] before the first and after every iteration. Without env_prime it is PPO."""
+def run(env, env_prime, cfg=EIPO, iterations=2, state=None, **options):
+    """[(State, metrics)] before the first and after every iteration. Without env_prime it is PPO on r - lam f."""
     state = state or eipo.init_state(env, env_prime, cfg)
     steps = eipo.eipo(env, env_prime, cfg, state, **options) if env_prime else eipo.ppo(env, cfg, state)
     return [(state, {}), *islice(steps, iterations)]
-
-
-def trees_equal(a, b):
-    return jax.tree.all(jax.tree.map(np.array_equal, a, b))
 
 
 # ---- L6, L7: rollouts ----
@@ -92,86 +85,55 @@ def known(heads):
 
     3 t = -x + 2 t + (x + t), of which x + t is privileged.
     """
-    actor = dict(layers=[plain(jnp.zeros((3, 1)), jnp.zeros(1))], log_std=jnp.zeros(1))
-    critic = [plain(jnp.array([[-1.0, -2.0], [2.0, 4.0], [1.0, 2.0]])[:, :heads], jnp.zeros(heads))]
-    return dict(actor=actor, critic=critic, estimator=[plain(jnp.zeros((2, 1)), jnp.zeros(1))])
+    critic = np.array([[-1.0, -2.0], [2.0, 4.0], [1.0, 2.0]])[:, :heads]
+    return handmade(critic, estimator=np.zeros((2, 1)), actor=np.zeros((3, 1)))
 
 
-def start(env):
+def roll(env, params, **changes):
+    """Three steps of env, from a reset."""
     obs, info = env.reset(0)
-    return obs, info["privileged"]
-
-
-def roll(env, heads, cfg):
-    return eipo.rollout(env, known(heads), start(env), jax.random.key(0), cfg)
+    cfg = replace(EIPO, num_steps=3, **changes)
+    return *eipo.rollout(env, params, (obs, info["privileged"]), jax.random.key(0), cfg), cfg
 
 
 def test_rollout_bootstraps_from_the_final_observation():
-    """Two-step episodes, cut by a time limit at t = 1, their final observations being (x, 1). gamma = 1/2, r = 0.
+    """Episodes of 1, 2 and 3 steps, cut by a time limit; the final observation is (x, length - 1). gamma = 1/2, r = 0.
 
-    V = (3 t, 6 t). The one-step errors, with gae_lambda = 0, of the three steps, and where they lead:
-    t = 0: 0 + 3/2 - 0 = 3/2     to t = 1
-    t = 1: 0 + 3/2 - 3 = -3/2    to the final observation; the first one of the next episode would give -3
-    t = 0: 0 + 3/2 - 0 = 3/2     the rollout ends, at t = 1
+    V = (3 t, 6 t). The one-step errors of the first value, with gae_lambda = 0, by where the three steps lead:
+    length 1: to the final observation, 0 + 0/2 - 0 = 0, three times
+    length 2: to t = 1, 0 + 3/2 - 0 = 3/2; final, 0 + 3/2 - 3 = -3/2 (the next episode's first would give -3); 3/2
+    length 3: to t = 1, 3/2; to t = 2, 6/2 - 3 = 0; final, 6/2 - 6 = -3
     """
-    cfg = replace(EIPO, num_steps=3, gae_lambda=0.0)
-    tau, at, log = roll(Probe(lambda x, t, a: 0 * x, length=2, truncates=True), 2, cfg)
-    assert tau.truncated.all(1).tolist() == [False, True, False] and not tau.terminated.any()
-    advantage = eipo.estimate(known(2), tau, cfg).advantage
-    assert (np.asarray(advantage) == np.array([[1.5, 3], [-1.5, -3], [1.5, 3]])[:, None]).all()
-    assert tau.obs[:, 0, 1].tolist() == [0, 1, 0] and tau.after[0][0, 1] == 1
+    probe = Probe(lambda x, t, a: 0 * x, length=1 + np.arange(16) % 3, truncates=True)
+    tau, at, log, cfg = roll(probe, known(2), gae_lambda=0.0)
+    assert tau.truncated[:, :3].tolist() == [[True, False, False], [True, True, False], [True, False, True]]
+    assert not tau.terminated.any() and tau.final[0].shape == (32, 2)  # 6, 11 and 11 robots, padded
+    first = np.array([[0, 1.5, 1.5], [0, -1.5, 0], [0, 1.5, -3]])[:, np.arange(16) % 3]
+    advantage = np.asarray(eipo.estimate(known(2), tau, cfg).advantage)
+    assert (advantage == first[..., None] * [1, 2]).all()
+    assert tau.obs[:, 1, 1].tolist() == [0, 1, 0] and tau.after[0][1, 1] == 1
     assert trees_equal(at, tau.after)
-    assert log["ended"] == 16 and log["reward"] == 0
-
-
-def test_rollout_each_truncation_has_its_own_final_observation():
-    """Robots are cut at different times: V(final) = obs, which says who was cut when (100 t + robot)."""
-
-    class Cut(Probe):
-        num_envs, cuts = 3, {1: [2], 2: [0, 1]}  # step: robots
-
-        def step(self, action):
-            obs, reward, _, _, info = super().step(action)
-            step = len(self.diary) - 1
-            truncated = np.isin(np.arange(3), self.cuts.get(step, []))
-            final = np.column_stack([100.0 * step + np.arange(3), np.zeros(3)]).astype(np.float32)
-            return (
-                0 * obs,
-                reward,
-                np.zeros(3, bool),
-                truncated,
-                info | dict(final_obs=final, privileged=0 * obs[:, :1]),
-            )
-
-    cfg = replace(EIPO, num_steps=3, gae_lambda=0.0, gamma=1.0)
-    params = known(1) | dict(critic=[plain(jnp.array([[1.0], [0.0], [0.0]]), jnp.zeros(1))])
-    env = Cut(lambda x, t, a: np.zeros(3))
-    tau, _, _ = eipo.rollout(env, params, start(env), jax.random.key(0), cfg)
-    bootstrapped = eipo.estimate(params, tau, cfg).target[..., 0]
-    assert bootstrapped.tolist() == [[0, 0, 0], [0, 0, 102], [200, 201, 0]]
+    assert log["ended"] == tau.truncated.sum() == 28 and log["reward"] == 0
 
 
 def test_rollout_a_fall_has_no_final_observation():
-    tau, _, _ = roll(Probe(one, length=2), 2, replace(EIPO, num_steps=3))
+    tau, *_ = roll(Probe(one, length=2), known(2))
     assert tau.terminated.all(1).tolist() == [False, True, False] and not tau.truncated.any()
     assert tau.final[0].shape == (0, 2)
 
 
 def test_rollout_streams_are_of_comparable_size():
     """D6, D10. Standing: r = 1, f = -126 W. In training 0.02 * 1 = 0.02 and 0.02 * 0.005 * -126 = -0.0126 a step."""
-    env, cfg = Probe(one, cost=lambda x, t, a: -126 + 0 * x), replace(EIPO, reward_scale=0.02, lam=0.005, num_steps=3)
-    tau, _, log = roll(env, 2, cfg)
-    assert tau.reward.shape == (3, 16, 2)
-    assert tau.reward[..., 0].ravel().tolist() == pytest.approx([0.02] * 48)
-    assert tau.reward[..., 1].ravel().tolist() == pytest.approx([-0.0126] * 48)
-    assert log["cost"] == -126
-    assert np.array_equal(roll(env, 1, cfg)[0].reward, tau.reward[..., :1])
+    env, scales = Probe(one, cost=lambda x, t, a: -126 + 0 * x), dict(reward_scale=0.02, lam=0.005)
+    tau, _, log, _ = roll(env, known(2), **scales)
+    assert tau.reward.shape == (3, 16, 2) and log["cost"] == -126
+    assert tau.reward.reshape(48, 2) == pytest.approx(np.tile([0.02, -0.0126], (48, 1)))
+    assert np.array_equal(roll(env, known(1), **scales)[0].reward, tau.reward[..., :1])
 
 
 def test_rollout_noise_is_fresh_at_every_step():
     """With mean 0 and std 1 the actions are the noise: 3 steps of 16 robots are 48 different numbers."""
-    tau, _, _ = roll(Probe(one), 2, replace(EIPO, num_steps=3))
-    assert np.unique(tau.action).size == 48
+    assert np.unique(roll(Probe(one), known(2))[0].action).size == 48
 
 
 # ---- Algorithm 1 ----
@@ -186,13 +148,13 @@ def test_algorithm1_has_its_fourteen_lines_in_order():
 def with_effort():
     """Three states of EIPO, with the environments of pi and pi_prime."""
     env, env_prime = Probe(near_half, effort), Probe(near_half, effort)
-    return run(env, env_prime, EIPO, 2), env, env_prime
+    return run(env, env_prime), env, env_prime
 
 
 def test_algorithm1_pi_prime_never_sees_energy(with_effort):
     """Another cost makes another pi; pi_prime has the same bits."""
     states, _, _ = with_effort
-    free = run(Probe(near_half), Probe(near_half), EIPO, 2)
+    free = run(Probe(near_half), Probe(near_half))
     assert trees_equal(free[2][0].pi_prime, states[2][0].pi_prime)
     assert not trees_equal(free[1][0].pi.params, states[1][0].pi.params)
     assert not trees_equal(states[1][0].pi_prime.params, states[2][0].pi_prime.params)
@@ -200,8 +162,7 @@ def test_algorithm1_pi_prime_never_sees_energy(with_effort):
 
 def test_algorithm1_same_seed_same_bits(with_effort):
     states, _, _ = with_effort
-    again = run(Probe(near_half, effort), Probe(near_half, effort), EIPO, 2)
-    assert trees_equal(again[2], states[2])
+    assert trees_equal(run(Probe(near_half, effort), Probe(near_half, effort))[2], states[2])
 
 
 def test_algorithm1_other_seed_other_start(monkeypatch):
@@ -231,7 +192,7 @@ def test_algorithm1_policies_share_no_luck(with_effort):
 
 
 def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha():
-    (start, _), (_, _), (end, metrics) = run(Probe(near_half), None, PPO, 2)
+    (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
     assert end.pi_prime is None and end.at_prime is None
     assert start.dual == end.dual == Dual(0.25, 0)
     assert "gap" not in metrics and not [name for name in metrics if name.startswith("prime_")]
@@ -240,7 +201,7 @@ def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha():
 def test_algorithm1_eipo_starts_as_ppo(with_effort):
     """D6: alpha_0 = 1 / lam, so that EIPO's first update of pi is PPO's at that lam, bit by bit; the second is not."""
     states, _, _ = with_effort
-    ppo = run(Probe(near_half, effort), None, PPO, 2)
+    ppo = run(Probe(near_half, effort), None)
     assert trees_equal(ppo[1][0].pi, states[1][0].pi)
     assert not trees_equal(ppo[2][0].pi, states[2][0].pi)
 
@@ -256,6 +217,28 @@ def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
     assert eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual == Dual(alpha, 0)
 
 
+@pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
+def test_algorithm1_learns_in_every_branch(algo, lam):
+    """One iteration moves every network, and skips no minibatch; without energy an infinite alpha is no 0 * inf."""
+    cfg = replace(EIPO, lam=lam)
+    (start, _), (end, log) = run(Probe(near_half, effort), Probe(near_half, effort) if algo == "eipo" else None, cfg, 1)
+    for name in ("pi", "pi_prime") if algo == "eipo" else ("pi",):
+        before, after = getattr(start, name).params, getattr(end, name).params
+        moved = jax.tree.map(lambda a, b: bool((a != b).any()) or a.size == 0, before, after)
+        assert jax.tree.all(moved) and log["prime_skipped" if name == "pi_prime" else "skipped"] == 0
+
+
+def test_algorithm1_at_alpha_zero_pi_knows_the_cost_alone():
+    """alpha J - F = -F: whatever the task pays, the actor of pi learns the same bits."""
+    ends = []
+    for reward in (one, near_half):
+        env, env_prime = Probe(reward, effort), Probe(reward, effort)
+        state = eipo.init_state(env, env_prime, EIPO)._replace(dual=Dual(0.0, 0.0))
+        ends.append(run(env, env_prime, EIPO, 1, state)[-1][0].pi.params["actor"])
+    assert trees_equal(*ends)
+    assert not trees_equal(ends[0], state.pi.params["actor"])
+
+
 def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
     """pi earns 1 a step, pi_prime 3: the gap is far below 0. What line 13 returns is what the next line 9 uses."""
     gaps = []
@@ -264,12 +247,12 @@ def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
         gaps.append(gap)
         return Dual(64.0, 7.0)
 
-    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x), EIPO, 2, line_13=jump)
+    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x), line_13=jump)
     assert gaps == [metrics["gap"] for _, metrics in states[1:]]
     assert gaps[0] < -0.5
     assert [state.dual for state, _ in states] == [Dual(0.25, 0), Dual(64, 7), Dual(64, 7)]
     assert [metrics["alpha"] for _, metrics in states[1:]] == [0.25, 64]
-    jumped = run(Probe(near_half, effort), Probe(near_half, effort), EIPO, 2, line_13=jump)
+    jumped = run(Probe(near_half, effort), Probe(near_half, effort), line_13=jump)
     assert trees_equal(jumped[1][0].pi, with_effort[0][1][0].pi)
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
 
@@ -285,46 +268,14 @@ def test_algorithm1_resumes_with_the_same_bits(with_effort):
     """Stopped after the first iteration and continued, with the environments as they were: they are not reset."""
     states, _, _ = with_effort
     envs = Probe(near_half, effort), Probe(near_half, effort)
-    first, _ = run(*envs, EIPO, 1)[1]
-    resumed = run(*envs, EIPO, 1, first)
+    first, _ = run(*envs, iterations=1)[1]
+    resumed = run(*envs, iterations=1, state=first)
     assert trees_equal(resumed[0][0], first)
     assert trees_equal(resumed[1], states[2])
     assert [env.seeds for env in envs] == [[0], [1]]
 
 
 # ---- the toy: one number theta, F = theta^2 ----
-
-
-def toy(J, climb, cfg, iterations):
-    """Lines 5 to 14 on one number, with the shipped line 13. returns alphas and thetas, one per iteration.
-
-    climb(theta, alpha, weight): a step up on alpha J - weight F; pi has weight 1, pi_prime climbs J alone
-    """
-    theta, theta_prime, dual, history = 0.0, 0.0, Dual(0.2, 0.0), []
-    for _ in range(iterations):
-        theta, theta_prime = climb(theta, dual.alpha, 1), climb(theta_prime, 1.0, 0)
-        dual = eipo.step_alpha(dual, J(theta) - J(theta_prime), cfg)
-        history.append((dual.alpha, theta))
-    return np.transpose(history)
-
-
-def capped(theta):
-    """Faster than the command of 1 earns no more, as in Eq. (5), which has no kink there, however."""
-    return min(theta, 1.0)
-
-
-def climb_capped(theta, alpha, weight, lr=0.05):
-    """The step down on F, then the one up on alpha J, which ends at the kink (a proximal gradient step)."""
-    theta -= lr * weight * 2 * theta
-    return max(theta, min(theta + lr * alpha, 1.0))
-
-
-def smooth(theta):
-    return -((theta - 1) ** 2)
-
-
-def climb_smooth(theta, alpha, weight, lr=0.02):
-    return theta - lr * (2 * alpha * (theta - 1) + weight * 2 * theta)
 
 
 def test_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
@@ -357,9 +308,9 @@ def test_algorithm1_toy_alpha_grows_without_bound_where_the_task_has_no_kink():
 # ---- probes ----
 
 
-def learn(env, iterations, env_prime=None, cfg=PPO):
+def learn(env, iterations, env_prime=None):
     """The State after so many iterations."""
-    return run(env, env_prime, cfg, iterations)[-1][0]
+    return run(env, env_prime, EIPO, iterations)[-1][0]
 
 
 def at(t):
@@ -421,24 +372,23 @@ def test_probe_4_a_time_limit_is_not_the_end():
     assert values(learn(Probe(lambda x, t, a: x, truncates=True), 100))[:, 0] == near([-2, 2])
 
 
-def test_probe_5_action():
-    """The best action is 1/2, wherever one is."""
-    assert means(learn(Probe(near_half), 60).pi) == near(0.5)
-
-
-def test_probe_6_action_for_an_observation():
-    """The best action is x / 2."""
-    assert means(learn(Probe(lambda x, t, a: -((a - x / 2) ** 2)), 60).pi) == near([-0.5, 0.5])
-
-
-def test_probe_7_ppo_trades_the_task_for_energy():
-    """-(a - 1/2)^2 - 4 a^2 is best at a = 1/10."""
-    assert means(learn(Probe(near_half, effort), 60).pi) == near(0.1)
+@pytest.mark.parametrize(
+    "reward, cost, best",
+    [
+        (near_half, None, [0.5, 0.5]),
+        (lambda x, t, a: -((a - x / 2) ** 2), None, [-0.5, 0.5]),
+        (near_half, effort, [0.1, 0.1]),
+    ],
+    ids=["5: 1/2 wherever one is", "6: x / 2", "7: -(a - 1/2)^2 - 4 a^2 is best at 1/10"],
+)
+def test_probes_5_to_7_the_best_action(reward, cost, best):
+    """PPO finds it: alone, for an observation, and where it trades the task for energy."""
+    assert means(learn(Probe(reward, cost) if cost else Probe(reward), 60).pi) == near(best)
 
 
 def test_probe_7_eipo_puts_the_task_first():
     """From the same weight, pi_prime shows that the task pays more: alpha rises, and pi comes to 1/2 as well."""
-    state = learn(Probe(near_half, effort), 100, Probe(near_half, effort), EIPO)
+    state = learn(Probe(near_half, effort), 100, Probe(near_half, effort))
     assert state.dual.alpha > 4
     assert (means(state.pi) > 0.35).all()
     assert means(state.pi_prime) == near(0.5)

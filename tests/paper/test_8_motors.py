@@ -1,12 +1,11 @@
-"""The PD controller of Section IV-C and the torque limits of Section V-D and the URDF, by hand."""
+"""Sections IV-C.a, IV-A.4 and V-D: the PD controller and the torque limits of the paper and of the URDF, by hand."""
 
 import numpy as np
 import pytest
 
 import go1
 
-REST = np.zeros(12)
-URDF_TORQUE = [23.7, 23.7, 35.55] * 4  # N m, hip, thigh, calf
+TOP_SPEED = np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF: hip, thigh, calf
 
 
 @pytest.mark.parametrize(
@@ -18,14 +17,18 @@ def test_pd(target, q, qd, torque):
     assert go1.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
 
 
+def test_motor_model():
+    """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
+    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))
+
+
 @pytest.mark.parametrize(
     ("speed", "limit"),
     [(0, 33.0), (0.5, 16.5), (1, 0.0), (2, 0.0), (-0.5, 16.5), (-1, 0.0), (-2, 0.0)],
 )
 def test_torque_speed_limit(speed, limit):
     """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed one is -33."""
-    qd = speed * np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF
-    assert go1.torque_speed_limit(qd) == pytest.approx([limit] * 12, rel=1e-14)
+    assert go1.torque_speed_limit(speed * TOP_SPEED) == pytest.approx([limit] * 12, rel=1e-14)
 
 
 def test_torque_speed_limit_takes_the_speed_of_each_joint():
@@ -35,21 +38,25 @@ def test_torque_speed_limit_takes_the_speed_of_each_joint():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("speed", [0, -1, 3])
-def test_urdf_limit(sign, speed):
-    """By default the URDF's torques hold, both ways and at any speed."""
-    limited = go1.limit_torque(np.full(12, sign * 100.0), np.full(12, speed * 30.0))
-    assert limited.tolist() == [sign * torque for torque in URDF_TORQUE]
-
-
-@pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
-    ("speed", "hip", "calf"), [(0, 23.7, 33.0), (0.25, 23.7, 24.75), (0.5, 16.5, 16.5), (-0.5, 16.5, 16.5), (2, 0, 0)]
+    ("speed", "torque_speed", "hip", "calf"),
+    [
+        (0, False, 23.7, 35.55),
+        (-1, False, 23.7, 35.55),
+        (3, False, 23.7, 35.55),
+        (0, True, 23.7, 33.0),
+        (0.25, True, 23.7, 24.75),
+        (0.5, True, 16.5, 16.5),
+        (-0.5, True, 16.5, 16.5),
+        (2, True, 0, 0),
+    ],
 )
-def test_both_limits(sign, speed, hip, calf):
-    """The smaller one: min(33, 23.7) and min(33, 35.55); 33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33."""
-    qd = speed * np.array([30.1, 30.1, 20.06] * 4)
-    limited = go1.limit_torque(np.full(12, sign * 100.0), qd, torque_speed=True)
+def test_limit_of_both_tables(sign, speed, torque_speed, hip, calf):
+    """By default the URDF's torques hold at any speed. With V-D the smaller one: min(33, 23.7) and min(33, 35.55);
+
+    33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33.
+    """
+    limited = go1.limit_torque(np.full(12, sign * 100.0), speed * TOP_SPEED, torque_speed)
     assert limited == pytest.approx([sign * hip, sign * hip, sign * calf] * 4, rel=1e-14)
 
 
@@ -57,10 +64,10 @@ def test_both_limits(sign, speed, hip, calf):
 def test_small_torques_pass(torque_speed):
     """Below its limits a motor gives what the controller asks for, bit for bit."""
     torque = np.linspace(-20, 20, 12)
-    assert go1.limit_torque(torque, REST, torque_speed).tolist() == torque.tolist()
+    assert go1.limit_torque(torque, np.zeros(12), torque_speed).tolist() == torque.tolist()
 
 
-def test_leading_shape():
+def test_motors_of_any_leading_shape():
     """The environments step as one array: an entry of the result must not depend on the others."""
     target, q, qd = np.random.default_rng(0).normal(size=(3, 2, 5, 12)) * 10
     torque = go1.limit_torque(go1.pd_torque(target, q, qd), qd, torque_speed=True)
@@ -68,8 +75,3 @@ def test_leading_shape():
     for i in np.ndindex(2, 5):
         alone = go1.limit_torque(go1.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
         assert torque[i].tolist() == alone.tolist()
-
-
-def test_motor_model():
-    """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
-    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))

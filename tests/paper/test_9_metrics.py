@@ -1,20 +1,19 @@
-"""What evaluate.py counts: episodes of a scripted robot and statistics whose values are known by hand."""
+"""Sections IV-D and V: what is counted in the episodes of a scripted robot, and statistics whose values are known."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support import frames, make
 
-import go1_env
 import measure
-import tasks
 
 
 class Scripted:
     """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot 2 hardly moves.
 
-    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 1/32; power 8 W times the
-    number of the robot plus 1; reward 0.5, after robot 1's fall still, because the next episode has begun.
+    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 3/64; power 8 W times the
+    number of the robot plus 1; reward 0.5. After robot 1's fall the next episode has begun: nothing of its 64 counts.
     """
 
     num_envs, env_cfg = 3, SimpleNamespace(episode_steps=20)
@@ -25,11 +24,11 @@ class Scripted:
 
     def step(self, action):
         self.t += 1
-        log = dict(v_x=np.array([self.t, 2.0, 1 / 32]), power=np.array([8.0, 16.0, 24.0]))
-        log |= dict(pitch=np.array([self.t, 4.0, 0.0]), roll=np.array([-1.0, 0.5, 0.0]))
+        log = dict(v_x=[self.t, 2.0, 3 / 64], power=[8.0, 16.0, 24.0], pitch=[self.t, 4.0, 0.0], roll=[-1.0, 0.5, 0.0])
+        log = {name: np.where([False, self.t > 3, False], 64.0, x) for name, x in log.items()}
         terminated = np.array([False, self.t == 3, False])
         truncated = np.array([self.t == 20, False, self.t == 20])
-        return np.zeros((3, 1)), np.full(3, 0.5), terminated, truncated, dict(log=log)
+        return np.zeros((3, 1)), np.where([0, self.t > 3, 0], 64.0, 0.5), terminated, truncated, dict(log=log)
 
 
 @pytest.fixture(scope="module")
@@ -43,55 +42,51 @@ def test_performance_counts_early_ends_as_zeros(episodes):
     assert episodes.fell.tolist() == [False, True, False]
 
 
-def test_velocity_power_and_energy_are_of_the_first_episode(episodes):
-    """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2 is too slow."""
-    assert episodes.v_x.tolist() == [10.5, 2.0, 1 / 32] and episodes.power.tolist() == [8.0, 16.0, 24.0]
+def test_velocity_power_energy_and_attitude_are_of_the_first_episode(episodes):
+    """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2 is too slow.
+
+    Robot 0 is 10.5 degrees nose up; robot 1 keeps its 4 until it falls.
+    """
+    assert episodes.v_x.tolist() == [10.5, 2.0, 3 / 64] and episodes.power.tolist() == [8.0, 16.0, 24.0]
     assert episodes.energy[:2].tolist() == [8 / 10.5, 8.0] and np.isnan(episodes.energy[2])
-
-
-def test_attitude_is_of_the_first_episode(episodes):
-    """Robot 0: (1 + ... + 20) / 20 = 10.5 degrees nose up; robot 1 keeps its 4 until it falls."""
     assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [-1.0, 0.5, 0.0]
 
 
-def test_late_velocity_is_of_the_second_half(episodes):
-    """Robot 0: (11 + ... + 20) / 10 = 15.5 m/s; robot 1 fell before."""
-    assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 1 / 32] and np.isnan(episodes.v_x_late[1])
+def test_late_and_peak_velocity(episodes):
+    """Second half of robot 0: (11 + ... + 20) / 10 = 15.5 m/s; robot 1 fell before.
 
-
-def test_peak_velocity(episodes):
-    """D18. Robot 0: 20 m/s, as a mean of its last ten steps 15.5; robot 1 fell before it had ten."""
-    assert episodes.peak.tolist() == [20.0, 2.0, 1 / 32]
-    assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 1 / 32]
+    D18. Its peak is 20 m/s, as a mean of its last ten steps 15.5; robot 1 fell before it had ten.
+    """
+    assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 3 / 64] and np.isnan(episodes.v_x_late[1])
+    assert episodes.peak.tolist() == [20.0, 2.0, 3 / 64]
+    assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 3 / 64]
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
     """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so (scale 2)."""
-    env = go1_env.Go1Env(2, tasks.task_config("flat", noise=0.0, stagger=False, episode_steps=3, command_steps=3), 1)
-    seen = []
+    env, seen = make(2, episode_steps=3, command_steps=3), []
 
-    def mean(obs):
-        seen.append(obs.reshape(2, 5, 44)[:, :, 3])
+    def policy(obs):
+        seen.append(frames(obs)[:, :, 3])
         return np.zeros((2, 12))
 
-    asked = [log["command_x"] for _, log, _, _ in measure.steps(mean, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))]
+    asked = [log["command_x"] for _, log, _, _ in measure.steps(policy, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))]
     assert np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3 and np.array(asked).tolist() == [[0.25, 0.75]] * 3
 
 
 def test_iqm_by_hand():
-    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it."""
-    assert (
-        measure.iqm(np.array([7.0, 1, 2, 3, 4, 5, 6, 0])) == measure.iqm(np.array([1000.0, 1, 2, 3, 4, 5, 6, 0])) == 3.5
-    )
+    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 ... 99^2: 25^2 ... 74^2."""
+    for greatest in (7.0, 1000.0):
+        assert measure.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
+    assert measure.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
 
 
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
     row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], measure.iqm)
     assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_mean", "x_n"]
-    assert (
-        row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8 and (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
-    )
+    assert row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8
+    assert (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
     assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
 
 
@@ -105,11 +100,9 @@ def test_summarise_without_an_interval():
 
 def test_iqm_does_not_see_rare_falls_but_the_mean_does():
     """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 = 1.125."""
-    (first, mean), (middle, _) = (
-        (row["x"], row["x_mean"])
-        for row in (measure.summarise("x", [np.array([0.25, *[1.25] * 7])], f) for f in (np.mean, measure.iqm))
-    )
-    assert (first, mean, middle) == (1.125, 1.125, 1.25)
+    episodes = [np.array([0.25, *[1.25] * 7])]
+    for row, x in ((measure.summarise("x", episodes), 1.125), (measure.summarise("x", episodes, measure.iqm), 1.25)):
+        assert (row["x"], row["x_mean"]) == (x, 1.125)
 
 
 def test_mean_of_what_is_finite():

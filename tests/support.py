@@ -1,0 +1,155 @@
+"""What several files of tests need, once: settings and networks of the learner, robots placed by hand, run folders."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+import eipo
+import go1
+import go1_env
+import run_folder
+import tasks
+from networks import Layer
+
+LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+
+# ---- the learner ----
+
+# gamma = gae_lambda = 1/2. One Config for all of tests/paper, PPO's as well: JAX compiles each function once
+EIPO = eipo.Config(
+    lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0, gamma=0.5,
+    gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0,
+    momentum_alpha=0.9, clip_alpha=1.0, dampening_alpha=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
+)  # fmt: skip
+
+
+def dyadic(rng, *shape):
+    """Random multiples of 1/8 between -1 and 1: their sums and products are exact in float32."""
+    return (rng.integers(-8, 9, shape) / 8).astype(np.float32)
+
+
+def trees_equal(a, b):
+    """Whether two trees of arrays agree in every number."""
+    return jax.tree.all(jax.tree.map(np.array_equal, a, b))
+
+
+def plain(weights, bias=None):
+    """A layer of a plain MLP, without odd coordinates; without a bias, one of zeros."""
+    weights = jnp.array(weights, jnp.float32)
+    return Layer(weights, jnp.zeros((0, 0)), jnp.zeros(weights.shape[1]) if bias is None else bias)
+
+
+def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
+    """Networks without hidden layers, one row of weights for each input; for widths (1, 1, 1) if not told otherwise."""
+    actor = dict(layers=[plain(actor)], log_std=jnp.zeros(len(actor[0])))
+    return dict(actor=actor, critic=[plain(critic)], estimator=[plain(estimator)])
+
+
+# ---- the environment ----
+
+NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, go1.Q_NOMINAL
+LEGS = ("FR", "FL", "RR", "RL")
+UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
+FROZEN = dict(timestep=1e-9)  # a physics step of a nanosecond keeps any state still that a test writes
+
+
+def make(num_envs=2, threads=1, seed=0, **fields):
+    """A reset environment without noise and with first episodes that start at age 0; task="flat" if not told."""
+    env = go1_env.Go1Env(num_envs, tasks.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads)
+    env.reset(seed)
+    return env
+
+
+def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0), rates=(0, 0, 0)):
+    """Write the same state into every environment: joints; pose, world velocity and body rates of the trunk."""
+    env.qpos[:, 2], env.qpos[:, 3:7], env.qpos[:, 7:] = height, quaternion, q
+    env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, rates, qd
+
+
+def still(env, steps=1):
+    """Step with action 0; the last result."""
+    for _ in range(steps):
+        result = env.step(np.zeros((env.num_envs, 12)))
+    return result
+
+
+def frames(obs):
+    """Observations (N, H * 44) as (N, H, 44)."""
+    return obs.reshape(len(obs), -1, 44)
+
+
+def soles(qpos):
+    """Height of the four soles [m] at qpos, by MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return np.array([data.geom(f"{leg}_foot").xpos[2] for leg in LEGS]) - 0.02
+
+
+def random_actions(env, steps, seed=0):
+    """(steps, N, 12), of the size of a fresh policy's."""
+    return np.random.default_rng(seed).normal(size=(steps, env.num_envs, 12))
+
+
+def run(env, actions):
+    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit by bit."""
+    seen = []
+    for action in actions:
+        obs, reward, terminated, truncated, info = env.step(action)
+        seen += [obs, reward, terminated, truncated, *info.pop("log").values(), *info.values()]
+    return seen
+
+
+def same_bits(a, b):
+    """Whether two lists of arrays agree in every bit."""
+    return len(a) == len(b) and all(
+        x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in zip(a, b, strict=True)
+    )
+
+
+# ---- run folders and commands ----
+
+
+def make_run(folder, task="flat", action=None, **learner):
+    """A run folder with an untrained policy; action: what it answers to everything, if not what it likes; its path."""
+    env_cfg = tasks.task_config(task, history=2, tiles=2)
+    cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,), **learner)
+    sizes = (2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)
+    params = eipo.init_learner(jax.random.key(cfg.seed), sizes, 2, cfg).params
+    if action is not None:
+        last = params["actor"]["layers"][-1]
+        params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))
+    folder.mkdir(exist_ok=True)
+    run_folder.save_config(folder, env_cfg, cfg, [])
+    run_folder.save_policy(folder / "policy.npz", params, env_cfg)
+    return folder
+
+
+def error_of(capsys, main, *argv):
+    """The one line that a failing command prints."""
+    assert main([str(x) for x in argv]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{main.__module__}.py: ")
+    return line
+
+
+def write_other_npz(path):
+    """An archive of another program in the place of a file."""
+    with path.open("wb") as file:
+        np.savez(file, weights=np.ones(3))
+
+
+DAMAGES = {
+    "missing": lambda path: path.unlink(),
+    "empty": lambda path: path.write_bytes(b""),
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[:-500]),
+    "binary": lambda path: path.write_bytes(b"\xff\x00"),
+    "of another program": write_other_npz,
+}  # of a file
+
+
+def contents(folder):
+    """Every file of a folder, by name."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}

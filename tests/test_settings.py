@@ -1,0 +1,130 @@
+"""Settings: those of the paper, those that cannot be, and that the command line tells them apart in one line."""
+
+from dataclasses import replace
+
+import pytest
+from support import error_of
+
+import eipo
+import go1_env
+import measure
+import tasks
+import train
+
+
+@pytest.mark.parametrize(
+    "task, history, roughness, cells_per_m, lam, iterations",
+    [
+        ("flat", 5, (0.0, 0.0), 4, 0.005, 4000),
+        ("rough", 10, (0.0, 0.15), 1, 0.0002, 4000),
+        ("velocity", 10, (0.05, 0.05), 4, 0.0002, 10_000),
+    ],
+)
+def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, iterations):
+    """V-A, V-B, V-D: H, the first lambda and the length of training; IV-A: roughness in m; D22.
+
+    All else of the world is as on flat ground, and whatever is given wins over the paper.
+    """
+    env_cfg, cfg = train.settle(dict(task=task), {})
+    same = dict(task=task, history=history, roughness=roughness, cells_per_m=cells_per_m)
+    assert env_cfg == tasks.task_config(task) == tasks.Config(**same)
+    assert (cfg.lam, cfg.iterations) == (lam, iterations)
+    changed = dict(task=task, history=3, roughness=(0.0, 0.01), cells_per_m=2, noise=0.5)
+    env_cfg, cfg = train.settle(changed, dict(lam=0.5))
+    assert env_cfg == tasks.Config(**changed) and (cfg.lam, cfg.iterations) == (0.5, iterations)
+
+
+def test_paper_settings_of_every_task():
+    """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 0.01, 1, 0.99; V-A: 1000 steps."""
+    cfg = eipo.Config()
+    assert (cfg.hidden, cfg.hidden_estimator) == ((512, 256, 128), (256, 128))
+    assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
+    assert (cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (0.01, 1, 0.99)
+    assert measure.EPISODE_STEPS == 1000
+
+
+def test_none_switches_off_what_a_task_sets():
+    """IV-A.4: the curriculum ends an episode at 800 W, unless told otherwise."""
+    limits = [train.settle(*train.parse(["--task", "curriculum", *flags])[1:])[0].max_power
+              for flags in ([], ["--max-power", "none"], ["--max-power", "700"])]  # fmt: skip
+    assert limits == [800.0, None, 700.0]
+
+
+OUT_OF_RANGE = [
+    # the learner's
+    "--num-envs -4", "--num-envs 0", "--num-steps 0", "--num-epochs 0", "--iterations 0", "--seed -1",
+    "--seed 5000000000", "--lam nan", "--lam -0.1", "--lam 0", "--lr inf", "--lr -1", "--lr 0.01", "--gamma 1.5",
+    "--momentum-alpha 2", "--target-kl -1", "--clip-eps -0.2", "--lr-alpha -1", "--alpha0 -1", "--log-std 2",
+    # the world's
+    "--task hover", "--history 0", "--episode-steps -5", "--command-steps 0", "--physics-steps 0", "--timestep 0",
+    "--clock-hz inf", "--action-limit -10", "--max-power 0", "--noise nan", "--clip speed", "--friction 1.25 0.5",
+    "--friction 0.5 inf", "--friction -0.5 0.5", "--friction 1", "--payload nan 1",
+    "--roughness -0.05 0.05", "--roughness 0.15 0.05", "--roughness nan 0.15", "--roughness 0 inf", "--cells-per-m 0",
+    "--tiles 0",
+    # the command's
+    "--algo sac", "--checkpoint-every 0", "--threads -1", "--threads 0",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("flags", OUT_OF_RANGE)
+def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, flags):
+    """It names the field and its value: a typo is found by reading the message."""
+    flag, *values = flags.split()
+    says = error_of(capsys, train.main, flag, *values, "--out", tmp_path / "run")
+    assert flag[2:].replace("-", "_") in says and all(value in says for value in values)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "flags, says",
+    [
+        ("--hidden 8 0", "hidden"),
+        ("--hidden-estimator -1", "hidden"),
+        ("--hidden 8 3", "odd"),
+        ("--num-envs 2 --num-steps 1 --num-minibatches 2", "num_minibatches"),
+        ("--algo ppo --alpha0 100", "alpha0"),
+        ("--payload -6 0", "trunk"),  # no mass would be left
+        ("--num-envs 3", "even"),
+        ("--cells-per-m 11", "10 cells"),  # fewer than 2 points per cell: the noise would not be seen
+        ("--friction 0.5 2", "1.5"),
+        ("--task moon", "flat, rough, velocity, curriculum"),
+    ],
+)
+def test_what_is_said_of_bad_settings(capsys, tmp_path, flags, says):
+    assert says in error_of(capsys, train.main, *flags.split(), "--out", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("flags", ["--num-envs many", "--threads many", "--speed 3", "--iter 2", "--lr"])
+def test_flags_that_do_not_parse_are_one_line(capsys, flags):
+    with pytest.raises(SystemExit, match="2"):
+        train.main(flags.split())
+    (line,) = capsys.readouterr().err.splitlines()
+    assert flags.split()[0] in line
+
+
+def test_an_environment_checks_its_settings_itself():
+    """train.py is not the only one that makes worlds."""
+    for wrong in (dict(num_envs=0), dict(threads=0), dict(env_cfg=tasks.Config(task="hover"))):
+        with pytest.raises(ValueError, match=r"\A.+\Z"):
+            go1_env.Go1Env(**dict(num_envs=1) | wrong)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [dict(stagger=False), dict(noise=0.0), dict(clock_hz=0.0), dict(payload=(0.0, 0.0)), dict(roughness=(0.0, 0.0)),
+     dict(roughness=(0.05, 0.05), cells_per_m=10)],  # the finest
+    ids=str,
+)  # fmt: skip
+def test_good_settings_of_the_world(fields):
+    """The values that switch something off, or are just allowed, are no mistakes."""
+    go1_env.Go1Env(1, tasks.Config(**fields))
+
+
+def test_settings_of_ppo_are_checked_as_ppo():
+    """An odd number of environments, and as few as one sample per minibatch, are enough for one policy."""
+    few = eipo.Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3)
+    eipo.check(eipo.Config())
+    eipo.check(few)
+    with pytest.raises(ValueError, match="num_minibatches"):
+        eipo.check(replace(few, num_minibatches=4))
