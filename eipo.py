@@ -61,10 +61,10 @@ class Config:
 def check(cfg):
     """Raise ValueError, in one line, for a Config that cannot train."""
     policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
-    at_most = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), 1.0) | dict(seed=2**31 - 1)
+    ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
+    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE)
     for name, x in vars(cfg).items():
-        low = LOG_STD_RANGE[0] if name == "log_std" else 0 if name == "seed" else int(type(x) is int)
-        high = LOG_STD_RANGE[1] if name == "log_std" else at_most.get(name, 1e9)
+        low, high = ranges.get(name, (int(type(x) is int), 1e9))
         if type(x) in (int, float) and not low <= x <= high:  # nan as well
             raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
     for wrong, message in (
@@ -223,8 +223,7 @@ def init_learner(key, sizes, heads, cfg):
     """
     obs, privileged, action = sizes
     both = obs[0] + privileged[0], obs[1] + privileged[1]
-    halves = (1, 0) if obs[1] == 0 else (0.5, 0.5)
-    hidden, hidden_estimator = ([tuple(int(n * half) for half in halves) for n in widths]
+    hidden, hidden_estimator = ([(n // 2, n // 2) if obs[1] else (n, 0) for n in widths]
                                 for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
     actor = init_mlp(k_actor, (both, *hidden, action))

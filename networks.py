@@ -59,17 +59,12 @@ def mlp(layers, even, odd):
     return even @ last.even + last.bias, odd @ last.odd
 
 
-def split(x, even):
-    """The first `even` coordinates of x (..., n), which are the even ones, and the others, which are odd."""
-    return x[..., :even], x[..., even:]
-
-
 def policy(params, obs):
     """Mean and standard deviation (..., A) of the action for obs (..., D), and the estimated body velocity (..., P).
 
     The actor sees the estimate, but the estimator learns from its own error alone (D19).
     """
-    obs = split(obs, len(params["estimator"][0].even))
+    obs = jnp.split(obs, [len(params["estimator"][0].even)], -1)
     estimate = mlp(params["estimator"], *obs)
     seen = [jnp.concatenate(pair, -1) for pair in zip(obs, jax.lax.stop_gradient(estimate), strict=True)]
     mean = jnp.concatenate(mlp(params["actor"]["layers"], *seen), -1)
@@ -81,8 +76,8 @@ def policy(params, obs):
 @jax.jit
 def value(params, obs, privileged):
     """The critic's values (..., K) of obs (..., D) with privileged (..., P). A mirrored state has the same value."""
-    obs = split(obs, len(params["estimator"][0].even))
-    privileged = split(privileged, len(params["estimator"][-1].bias))
+    obs = jnp.split(obs, [len(params["estimator"][0].even)], -1)
+    privileged = jnp.split(privileged, [len(params["estimator"][-1].bias)], -1)
     return mlp(params["critic"], *(jnp.concatenate(pair, -1) for pair in zip(obs, privileged, strict=True)))[0]
 
 
