@@ -1,17 +1,15 @@
-"""Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO as its inner loop. JAX and optax.
+"""Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO for the updates of lines 9 and 11.
 
-`eipo()` is Algorithm 1, tagged with the paper's line numbers, and `ppo()` below it is what remains without pi_prime.
-What they call follows in the order in which they call it: learners (L3), rollouts (L6, L7), estimates (L8, L10, L12),
-the PPO update (L9, L11), the step on alpha (L13). The networks are in `networks.py`.
+`eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline, which is Algorithm 1
+without pi_prime. What they call follows in the order of the lines.
 
-    J, F            discounted sums of the task reward (Eq. 1) and of the auxiliary cost (Eq. 3)
-    pi, pi_prime    the policy that we want, alpha J - F, and the one that only knows the task, J
-    alpha           the multiplier of Eq. (4); what Eq. (2) calls lambda is 1 / alpha
-    lam             lambda_0: where 1 / alpha starts (EIPO) or stays (PPO)
-    T, N            steps of a rollout, environments; D, P, A, K as in `networks.py`
+    J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
+    pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
+    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and starts at lam (D6)
+    T, N            steps of a rollout and number of environments; `networks.py` defines the widths D, P, A and K
 
-The outer loop is plain Python, so that a `breakpoint()` works anywhere in it; what is worth compiling is jitted. An
-environment here is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
+An environment is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
+The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 
 from dataclasses import dataclass
@@ -25,48 +23,48 @@ import optax
 
 from networks import init_mlp, log_prob, policy, value
 
-LOG_STD_RANGE = (-4.0, 1.0)  # [ours] the noise of the policy can neither vanish nor explode
-LR_RANGE = (1e-5, 1e-3)  # [lab code] at least, [IV-C] at most
+LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
+LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
 
 
 @dataclass(frozen=True)
 class Config:
-    """How to learn. Every field says where its value comes from."""
+    """How to learn. A field's tag says where its value comes from: the paper's section, the lab's code, or us."""
 
     algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
-    lam: float = 0.005  # [V-A] lambda: its start for EIPO (alpha_0 = 1 / lam), its value for PPO; 0 is no energy term
-    seed: int = 0  # [ours] of networks, noise and environments
-    num_envs: int = 256  # [ours] environments in all; EIPO gives each policy half of them (D9). The lab: about 4000
-    iterations: int = 4000  # [V-A] of Algorithm 1
-    num_steps: int = 24  # [IV-C] T, per rollout
+    lam: float = 0.005  # [V-A] lambda_0: alpha starts (EIPO) or stays (PPO) at 1 / lam; 0, for PPO, is no energy term
+    seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
+    num_envs: int = 256  # [ours] environments in all; EIPO gives each policy half. The lab: 1000 to 4000 (D9)
+    iterations: int = 4000  # [V-A] iterations of Algorithm 1
+    num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout
-    num_minibatches: int = 4  # [IV-C] per pass
-    lr: float = 3e-4  # [ours] Adam's step size at the start, eta_pi and eta_pi'; the paper's is 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] lr follows the KL, averaged over an update's minibatches; 0 keeps it fixed (D20)
+    num_minibatches: int = 4  # [IV-C] minibatches per pass
+    lr: float = 3e-4  # [ours] eta_pi and eta_pi': Adam's step size at the start; the paper's is 1e-3 (D20)
+    target_kl: float = 0.03  # [ours] the step size aims at this mean KL divergence of an update; 0 keeps lr fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
-    gae_lambda: float = 0.95  # [lab code] of generalised advantage estimation
+    gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's 0.01 lets the noise of pi_prime grow (D21)
-    max_grad_norm: float = 1.0  # [IV-C] per network, so that no loss spends another's budget
-    reward_scale: float = 0.02  # [lab code] streams are multiplied by this, the usual length of a step in s (D10)
-    lr_alpha: float = 0.01  # [IV-C] eta_alpha
-    clip_alpha: float = 1.0  # [IV-C] the gradient in alpha is clipped to +- this
-    momentum_alpha: float = 0.99  # [IV-C] of the step on alpha
-    dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average
+    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of a network's gradient, each network by itself (D39)
+    reward_scale: float = 0.02  # [lab code] factor on reward and cost in training: a control step's length in s (D10)
+    lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha
+    clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
+    momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
+    dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average (D38)
     alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
-    log_std: float = 0.0  # [lab code] of the policy's noise, at the start
-    mirror: bool = True  # [ours] networks that know left from right; --no-mirror: the paper's plain MLPs (D28)
-    hidden: tuple = (512, 256, 128)  # [IV-C] actor and critic
-    hidden_estimator: tuple = (256, 128)  # [IV-C] of the estimator
+    log_std: float = 0.0  # [lab code] log of the standard deviation of the policy's noise at the start
+    mirror: bool = True  # [ours] weights are tied by the robot's mirror symmetry; --no-mirror: plain MLPs (D28)
+    hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
+    hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
 
 
 def check(cfg):
     """Raise ValueError, in one line, for a Config that cannot train."""
     policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
-    at_most = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), 1.0) | dict(seed=2**31 - 1)
+    ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
+    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE)
     for name, x in vars(cfg).items():
-        low = LOG_STD_RANGE[0] if name == "log_std" else 0 if name == "seed" else int(type(x) is int)
-        high = LOG_STD_RANGE[1] if name == "log_std" else at_most.get(name, 1e9)
+        low, high = ranges.get(name, (int(type(x) is int), 1e9))
         if type(x) in (int, float) and not low <= x <= high:  # nan as well
             raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
     for wrong, message in (
@@ -86,18 +84,18 @@ def check(cfg):
 
 
 class Learner(NamedTuple):
-    """A policy with all that trains it."""
+    """A policy and what its training keeps."""
 
     params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
-    opt_state: tuple
-    lr: jax.Array  # () Adam's step size now
+    opt_state: tuple  # of `optimizer`
+    lr: jax.Array  # () Adam's step size now, one for all three networks (D32)
 
 
 class Dual(NamedTuple):
     """The multiplier and its momentum."""
 
     alpha: float
-    velocity: float
+    velocity: float  # what momentum has added up, see `step_alpha`; no velocity of the robot
 
 
 class State(NamedTuple):
@@ -107,7 +105,7 @@ class State(NamedTuple):
     pi: Learner
     pi_prime: Learner | None  # None for PPO
     dual: Dual
-    at: tuple  # obs, privileged: where pi's environments are
+    at: tuple  # obs (N, D), privileged (N, P) with which pi's next rollout begins
     at_prime: tuple | None  # None for PPO
 
 
@@ -117,31 +115,31 @@ class Rollout(NamedTuple):
     obs: np.ndarray  # (T, N, D)
     privileged: np.ndarray  # (T, N, P)
     action: np.ndarray  # (T, N, A)
-    reward: np.ndarray  # (T, N, K): task reward r and cost lam f, both times reward_scale
+    reward: np.ndarray  # (T, N, K) streams: task reward r and, for pi, cost lam f, both times reward_scale
     terminated: np.ndarray  # (T, N)
     truncated: np.ndarray  # (T, N)
     after: tuple  # obs (N, D), privileged (N, P) after the last step
-    final: tuple  # obs (M, D), privileged (M, P) that truncated episodes ended with, in their order, then padding
+    final: tuple  # obs (M, D), privileged (M, P): the last of each truncated episode, in that order, then padding
 
 
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout."""
 
-    advantage: jax.Array  # (T, N, K) never normalised
+    advantage: jax.Array  # (T, N, K) of each stream, never normalised
     target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
-    log_prob: jax.Array  # (T, N)
+    log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
 
 
 # ---- Algorithm 1 ----
 
 
 def eipo(env, env_prime, cfg, state=None, line_13=None):
-    """Algorithm 1, as a generator: yields the State after every iteration, and a dict of metrics.
+    """Algorithm 1 as a generator, which yields the State after every iteration and a dict of metrics.
 
     env, env_prime: environments of pi and of pi_prime
-    state:          where to go on, with its environments as they were then; None is a new start
-    line_13:        what to do there instead of `step_alpha`, for experiments
-    The tags are the paper's line numbers.
+    state:          the State to continue from, with env and env_prime as they were then; None starts anew
+    line_13:        function of (dual, gap, cfg) that replaces `step_alpha`, for experiments
+    The tags are the paper's line numbers. Where the paper's line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
@@ -171,7 +169,7 @@ def eipo(env, env_prime, cfg, state=None, line_13=None):
 
 
 def ppo(env, cfg, state=None):
-    """PPO on Eq. (2), the paper's baseline: what is left of Algorithm 1 without pi_prime. Arguments as of `eipo`."""
+    """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
     state = state or init_state(env, None, cfg)
     pi, dual, at = state.pi, state.dual, state.at
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
@@ -184,14 +182,14 @@ def ppo(env, cfg, state=None):
 
 
 def iteration_keys(cfg, iteration):
-    """Four random keys for an iteration: rollouts of pi and of pi_prime, updates of pi and of pi_prime."""
+    """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of pi and pi_prime."""
     return jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), iteration), 4)
 
 
 def summary(iteration, est, dual, cfg):
-    """Metrics of an iteration: environment steps so far, J(pi), alpha, and the task's share of the objective.
+    """Metrics of an iteration: environment steps so far, J(pi), alpha, and the task's share of pi's objective.
 
-    task_share: std(alpha lam A_r) / (std(alpha lam A_r) + std(A_f)). Near 1, alpha no longer matters.
+    task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer matters.
     """
     task, cost = est.advantage.std((0, 1)) * np.array([dual.alpha * cfg.lam if cfg.lam else 1.0, float(cfg.lam > 0)])
     steps = iteration * cfg.num_steps * cfg.num_envs
@@ -202,7 +200,7 @@ def summary(iteration, est, dual, cfg):
 
 
 def init_state(env, env_prime, cfg):
-    """The State before the first iteration: random policies, alpha_0, reset environments. PPO's env_prime is None."""
+    """The State before the first iteration: random policies, alpha_0, reset environments. env_prime: None for PPO."""
 
     def start(env, key, heads, seed):
         obs, info = env.reset(seed)
@@ -218,15 +216,14 @@ def init_state(env, env_prime, cfg):
 
 @partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
 def init_learner(key, sizes, heads, cfg):
-    """A new Learner.
+    """A new Learner, whose networks are random.
 
-    sizes: of obs, privileged and action: how many coordinates are even and how many odd (see `networks.EvenOdd`)
-    heads: K, 2 for pi (task, cost), 1 for pi_prime
+    sizes: for each of obs, privileged and action, how many coordinates are even and how many odd (see `networks.py`)
+    heads: K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task) (D30)
     """
     obs, privileged, action = sizes
     both = obs[0] + privileged[0], obs[1] + privileged[1]
-    halves = (1, 0) if obs[1] == 0 else (0.5, 0.5)
-    hidden, hidden_estimator = ([tuple(int(n * half) for half in halves) for n in widths]
+    hidden, hidden_estimator = ([(n // 2, n // 2) if obs[1] else (n, 0) for n in widths]
                                 for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
     actor = init_mlp(k_actor, (both, *hidden, action))
@@ -238,7 +235,7 @@ def init_learner(key, sizes, heads, cfg):
 
 
 def optimizer(cfg):
-    """Adam's direction, with each network's gradient clipped by its own norm; non-finite updates are skipped."""
+    """Adam without its step size. Gradients are clipped network by network (D39), non-finite ones are skipped (D44)."""
     clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
     direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam(b1=0.9, b2=0.999))
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
@@ -249,13 +246,13 @@ def optimizer(cfg):
 
 @jax.jit
 def act(params, obs, key, t):
-    """Sample actions (N, A) for obs (N, D). key, t: random key of the rollout and step within it."""
+    """Random actions (N, A) for obs (N, D). key, t: random key of the rollout, and step within it."""
     mean, std, _ = policy(params, obs)
     return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
 
 
 def rollout(env, params, at, key, cfg):
-    """T steps of env under the policy, from where it is.
+    """Take T steps in env with the policy, from where env is.
 
     at: (obs, privileged) of the N environments now
     returns Rollout, the new `at`, and the log: means of the environment's float columns, counts of its boolean ones
@@ -283,13 +280,11 @@ def rollout(env, params, at, key, cfg):
 
 @partial(jax.jit, static_argnames="cfg")
 def estimate(params, tau, cfg):
-    """Advantages and returns of a rollout, each stream by itself: GAE is linear, so mixing can wait (L8, L10)."""
+    """The Estimate of a rollout. Streams stay apart: GAE is linear, so their advantages can be mixed later (L8)."""
     values = value(params, tau.obs, tau.privileged)
     next_values = jnp.concatenate([values[1:], value(params, *tau.after)[None]])
     terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
-    if len(
-        tau.final[0]
-    ):  # a time limit is not the end of the world: the k-th bootstraps from the k-th final observation
+    if len(tau.final[0]):  # where time was up, more would have followed: the k-th such step takes the k-th final value
         k = jnp.cumsum(tau.truncated).reshape(tau.truncated.shape) - 1
         next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
     advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
@@ -298,11 +293,10 @@ def estimate(params, tau, cfg):
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
-    """Generalised advantage estimation: sum over l of (gamma gae_lambda)^l delta_{t+l}, up to the episode's end.
+    """GAE, the advantages (T, ...): sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the episode's end.
 
     reward, value: (T, ...); next_value: (T, ...) value of the state that step t led to, also where truncated
-    terminated, truncated: (T, ...) bool. Both cut the sum; only `terminated` says that nothing comes after.
-    returns (T, ...) advantages
+    terminated, truncated: (T, ...) bool. Both end the sum; after `terminated` alone there is no next value.
     """
     delta = reward + gamma * next_value * ~terminated - value
     decay = gamma * gae_lambda * ~(terminated | truncated)
@@ -316,18 +310,18 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
 
 
 def mix(advantage, alpha, lam):
-    """Advantage (T, N) of alpha J - F, up to a positive factor. Eqs. (2) and (4), D6.
+    """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6).
 
-    advantage: (T, N, 2) of the streams r and lam f. The weights (alpha lam, -1) give lam (alpha A_r - A_f); with
-    alpha = 1 / lam that is A_r - lam A_f: PPO on Eq. (2). lam = 0, alpha infinite, leaves the task alone.
+    advantage: (T, N, 2) of the streams r and lam f. The weights alpha lam and -1 give lam (alpha A_r - A_f). With
+    alpha = 1 / lam this is A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and only the task counts.
     """
     return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
 
 
 def estimate_J(estimate):
-    """J of a policy from its rollout: batch mean of the lambda-returns of the task stream (L12, D8).
+    """J of a policy: the mean of the lambda-returns of the task in its rollout (L12, D8).
 
-    Never from normalised advantages: their mean is 0 whatever the policy, and alpha would not move.
+    Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
     return estimate.target[..., 0].mean()
 
@@ -337,9 +331,9 @@ def estimate_J(estimate):
 
 @partial(jax.jit, static_argnames="cfg")
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
-    """All epochs and minibatches of one iteration. advantage: (T, N), mixed, not normalised yet.
+    """All epochs and minibatches of one iteration; returns the new Learner and the means of what `ppo_loss` logs.
 
-    returns the new Learner and the means of what ppo_loss logs.
+    advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
     """
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
@@ -363,7 +357,7 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
 
 
 def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. The three networks share no parameters, so the sum trains each alone."""
+    """Loss of a minibatch, and what to log. Each network learns from its own term; values are not clipped (D31)."""
     mean, std, velocity = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
@@ -372,7 +366,7 @@ def ppo_loss(params, batch, cfg):
     value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
-    kl = (ratio - 1 - log_ratio).mean()  # an estimate of KL(old, new) that is never negative
+    kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new) from the samples and is never negative
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
 
 
@@ -382,7 +376,7 @@ def clipped_surrogate(ratio, advantage, clip_eps):
 
 
 def adapt_lr(lr, kl, cfg):
-    """The lab's rule, once per iteration: a smaller step if the policy moved too far, a larger one if hardly at all."""
+    """The next step size: smaller if the policy moved too far, larger if it hardly moved. The lab's rule (D20, D32)."""
     if cfg.target_kl == 0:
         return lr
     factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
@@ -393,11 +387,10 @@ def adapt_lr(lr, kl, cfg):
 
 
 def step_alpha(dual, gap, cfg):
-    """One step on alpha: gradient ascent on L of Eq. (4) with momentum, as torch's SGD does it. Section IV-C.c.
+    """The Dual after one step of gradient ascent on L of Eq. (4), with the momentum of torch's SGD (D38). IV-C.c.
 
-    gap: J(pi) - J(pi_prime). dL/dalpha = -gap, so alpha rises while pi is worse than pi_prime. Deviation D2: the
-    paper prints +gap. The gradient is clipped to +- clip_alpha; alpha stays >= 0 and loses its momentum there.
-    returns Dual, unchanged if the gap is not finite
+    gap: J(pi) - J(pi_prime). dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises while pi is the worse
+    one. Where alpha would fall below 0, it becomes 0 and loses its momentum. If gap is not finite, nothing moves (D44).
     """
     if not np.isfinite(gap):
         return dual

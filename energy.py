@@ -1,20 +1,19 @@
 """What a step costs: the power model of Eq. (9) and the smoothness cost of Eq. (11).
 
-Section IV-B of the paper. Both are *costs*: positive is bad, and the learner multiplies them by -lambda.
-Every function takes any leading batch shape and reduces the last axis, the twelve joints in the order
-FR, FL, RR, RL x hip, thigh, calf.
-
-Not here: how the torques come about (`go1.py`) and how the cost is weighed against the task (`eipo.py`).
+Sections IV-B and V-E. Both are *costs*: although the paper calls them rewards, positive is bad, and the learner
+multiplies them by -lambda. Every function takes any leading batch shape and reduces the last axis, which is the twelve
+joints in the order FR, FL, RR, RL x hip, thigh, calf. How torques come about is in `go1.py`, and how the cost is
+weighed against the task is in `eipo.py`.
 """
 
 import numpy as np
 
 HEATING = 0.7  # W / (N m)^2, Eq. (9)
 BATTERY = 42.0  # W drawn by the electronics whatever the motors do, Eq. (9)
-SURVIVAL = 200.0  # W, bonus that keeps the cost negative, so that ending the episode does not pay, Eq. (9)
+SURVIVAL = 200.0  # W, bonus that makes the cost of a frugal robot negative, so that falling does not pay, Eq. (9)
 
 # g of Eq. (9). The calf motor drives its joint through an extra 1.5:1 linkage, so a calf torque needs 2/3 of
-# the motor torque that the same hip or thigh torque needs (D4: the paper prints "gear ratios", no numbers).
+# the motor torque that the same hip or thigh torque needs. The paper prints no numbers (D4).
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
@@ -28,8 +27,8 @@ def mechanical_power(torque, qd, clip):
     returns (...,) [W]
     Raises ValueError for any other clip.
 
-    Deviation D3: the paper prints "torque", training uses "power". With the printed one a joint that is driven hard in
-    the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
+    Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a joint that is driven
+    hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)
@@ -69,7 +68,7 @@ def smoothness_cost(torque, action, qdd):
 
     torque: (..., 12) [N m]      joint torque
     action: (..., 12) [-]        the policy's action itself, not its rate (D15: as printed)
-    qdd:    (..., 12) [rad/s^2]  joint acceleration: difference of qd over one control step, by its length
+    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step by the step's length (D15)
     returns (...,) [-]
     """
     norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731  ||x||^2

@@ -1,11 +1,11 @@
-"""The paper's Figures 2 to 6 and Table I from our own runs, on the simulator that trained them.
+"""The paper's Figures 2 to 6 and Table I from our own runs, in the simulator that trained them.
 
     python evaluate.py RUN...                    a line per run folder: task performance, falls, speed, power
     python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
     python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
 
-How policies are measured is in `measure.py`.
+How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda), with its other cost or reward.
 """
 
 import argparse
@@ -29,10 +29,10 @@ KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
                           (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
-HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI
+HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
 EIPO = ("--algo", "eipo")
 PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
-SWEEPS = dict(  # the runs behind each figure and Table I: task, flags of train.py
+SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each
     fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
@@ -40,13 +40,13 @@ SWEEPS = dict(  # the runs behind each figure and Table I: task, flags of train.
           for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
     fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
     table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
-FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # m/s, commands of Figs. 2 to 4
-LEVELS = dict(flat=(1.2, 1.35))  # batch means of the task reward, of which `seeds` says when they were reached
-ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, if it is not that of training [V-B]
+FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
+LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
+ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
 
 
 def by_label(folders, task):
-    """Run folders of one task by what they are called in a figure: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
+    """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
 
     Raises ValueError if there are none, and for two runs of one kind that differ in more than the seed, or not in it.
     """
@@ -71,17 +71,17 @@ def by_label(folders, task):
 
 
 def play(folder, task, commands, each, args):
-    """Episodes of a run, `each` of every command (n, 3): of random starts as in training, of the nominal pose."""
+    """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35)."""
     roughness, asked = ROUGHNESS.get(task) if args.roughness is None else args.roughness, np.repeat(commands, each, 0)
     loaded = (measure.load(folder, len(asked), args.clip, roughness, nominal) for nominal in (False, True))
     return [measure.run_episodes(*policy_env, asked) for policy_env in loaded]
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
-    """Rows of a CSV: for each kind of run and each command, a statistic and intervals of named columns of Episodes.
+    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes, with intervals.
 
-    commands: (n, 3); every run plays about args.episodes episodes, equally many of each command. Columns ending in
-    _nominal are of as many episodes that start from the nominal pose, all others of those with random starts.
+    commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command. Columns that end in
+    _nominal are means of as many episodes that start from the nominal pose. All others are of random starts.
     """
     each = max(1, args.episodes // len(commands))
     rows = []
@@ -100,7 +100,7 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
 
 
 def draw_lines(axes, rows, x, column):
-    """A line for each kind of run: EIPO thick, PPO the darker the larger lambda; intervals of the pooled episodes."""
+    """Draw a line for each kind of run: means (D26) with their intervals over episodes. A large lambda is dark."""
     names = list(dict.fromkeys(row["run"] for row in rows))
     for i, name in enumerate(names):
         mine = [row for row in rows if row["run"] == name]
@@ -115,29 +115,29 @@ def draw_lines(axes, rows, x, column):
 
 
 def draw_panels(rows, panels):
-    """A figure of panels (task, column, label of the y axis), each over the command."""
+    """A Figure with a panel over the command v_x for each (task, column, label of the y axis)."""
     figure = Figure(figsize=(5 * len(panels), 3.6), layout="constrained")
     for axes, (task, column, title) in zip(figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True):
         draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
         axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
         if column == "energy":
-            axes.set_yscale("log")  # a robot that is asked to stand spends much per metre
+            axes.set_yscale("log")  # because a robot that is asked to stand spends much per metre
     return figure
 
 
 def fig2(folders, args, task="flat"):
-    """Task performance and energy per velocity on flat ground, by command. Section V-A."""
+    """Task performance and energy per velocity (D27) on flat ground, by command. Section V-A."""
     rows = by_command(folders, task, FORWARD, ("performance", "energy"), args)
     return rows, draw_panels(rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")])
 
 
 def fig3(folders, args):
-    """The same on rough ground of 15 cm. Section V-B."""
+    """Task performance and energy per velocity on rough ground of 15 cm, by command. Section V-B."""
     return fig2(folders, args, "rough")
 
 
 def fig4(folders, args):
-    """Task performance of every lambda on flat and on rough ground, as far as there are runs. Section V-C."""
+    """Task performance of every lambda on flat and on rough ground, or on one of them if only it has runs. V-C."""
     tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
     if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
         raise ValueError("none of the run folders is of the task flat or rough")
@@ -146,7 +146,7 @@ def fig4(folders, args):
 
 
 def fig5(folders, args):
-    """Task reward and energy over commands of v_x and yaw rate. Section V-E."""
+    """Task performance and power over commands of v_x and yaw rate. Section V-E."""
     commands = np.array([(x, 0.0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
     rows = by_command(folders, "curriculum", commands, ("performance", "power"), args)
     names = list(dict.fromkeys(row["run"] for row in rows))
@@ -164,9 +164,9 @@ def fig5(folders, args):
 
 
 def fig6(folders, args):
-    """Velocity over time of the robots that have not fallen yet; dotted, the paper's peaks on hardware. Section VI.
+    """Mean velocity over time of the robots that have not fallen yet. Dotted: the paper's hardware (D45). Section VI.
 
-    Means over about a period of the clock each, because all robots stride in time with it.
+    Each point is a mean over about a period of the clock, because all robots stride in time with it.
     """
     rows = []
     for name, runs in by_label(folders, "velocity").items():
@@ -189,7 +189,7 @@ def fig6(folders, args):
 
 
 def table1(folders, args):
-    """Peak velocity of every lambda, beside what the paper prints. Table I."""
+    """Peak velocity of every lambda as an interquartile mean, beside what the paper prints. Table I."""
     columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
     rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, measure.iqm)  # D26
     paper = [dict(zip(("paper", "paper_low", "paper_high"), TABLE1.get(row["run"], [np.nan] * 3), strict=True))
@@ -209,7 +209,7 @@ def table1(folders, args):
 
 
 def reached(metrics, level):
-    """Environment steps [M] and minutes after which the mean reward of 20 iterations is at a level, or NaN."""
+    """Million environment steps, and minutes, after which the mean reward of 20 iterations is at a level, or NaN."""
     means = np.convolve(metrics["reward"], np.ones(20) / 20, "valid")
     if not (means >= level).any():
         return np.nan, np.nan
@@ -219,9 +219,9 @@ def reached(metrics, level):
 
 
 def overview(folder, args):
-    """One run in one row of means: from random starts, where it says so from the nominal pose; J/m of robots that move.
+    """One run as a row of means over episodes with random starts or, in columns that say so, with nominal ones.
 
-    Commands are those of Figs. 2 to 4, on the task `curriculum` straight ahead with 0 to 1 m/s as well.
+    Commands are those of Figs. 2 to 4, also on the task `curriculum`. On `velocity` there are none.
     """
     env_cfg, cfg = run_folder.load_config(folder)
     commands = np.zeros((1, 3)) if env_cfg.task == "velocity" else FORWARD
@@ -236,7 +236,7 @@ def overview(folder, args):
 
 
 def seeds(folders, args):
-    """How soon the runs of one task learned, and what they do now: an `overview` and a curve of each."""
+    """How soon each run of one task learned, and what it does now: its `overview` and its learning curve."""
     rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
     axes = figure.subplots()
     for folder in map(Path, folders):
@@ -255,7 +255,7 @@ FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds)}
 
 
 def keep_policies(out, folders):
-    """Copy the policy of every run to out/NAME/policy.npz, so that play.py can show the gait behind a number later."""
+    """Copy the policy of every run to out/NAME/policy.npz, so that play.py can show later what a number stands for."""
     for folder in map(Path, folders):
         if (kept := out / folder.name).resolve() != folder.resolve():
             kept.mkdir(exist_ok=True)
@@ -300,7 +300,7 @@ def missing_runs(what, flags):
 
 
 def progress(argv):
-    """How far the run of these train.py arguments is: "", "started" or "done"."""
+    """How far the run of these train.py arguments is: "" if it has not begun, "started" or "done"."""
     options, given_env, given_learner = train.parse(argv)
     env_cfg, cfg = train.settle(given_env, given_learner)
     folder = train.run_path(train.Options(**options), env_cfg, cfg)
@@ -318,7 +318,7 @@ def main(argv):
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
     parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
-    parser.add_argument("--out", default=".", type=Path, help="folder for the PNG and the CSV (default: here)")
+    parser.add_argument("--out", type=Path, help="folder for PNG, CSV and policies (default: here, without policies)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument(
@@ -339,9 +339,11 @@ def main(argv):
         elif not folders:
             raise ValueError(f"{what} of which runs? Give run folders")
         else:
-            args.out.mkdir(parents=True, exist_ok=True)
-            save(args.out, what, *FIGURES[what](folders, args))
-            keep_policies(args.out, folders)
+            out = args.out or Path()
+            out.mkdir(parents=True, exist_ok=True)
+            save(out, what, *FIGURES[what](folders, args))
+            if args.out:
+                keep_policies(out, folders)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

@@ -1,8 +1,9 @@
 """The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose, the kinematics of its legs and its motors.
 
-Joints and legs come in the order FR, FL, RR, RL x hip, thigh, calf; arrays over the joints are (..., 12). The numbers
-are those of Unitree's URDF, or of Sections IV-C (gains) and V-D (torque-speed limit). The functions of the motors are
-called before every physics step, so that the torque in Eq. (9) is the torque that was applied.
+Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the joints of each as hip,
+thigh, calf, so arrays over the joints are (..., 12). The numbers are those of Unitree's URDF, or of Sections IV-C
+(gains) and V-D (torque-speed limit). `go1_env.py` calls the functions of the motors before every physics step, so that
+the torque in Eq. (9) is the torque that was applied.
 """
 
 from pathlib import Path
@@ -16,20 +17,20 @@ MODEL = Path(__file__).with_name("go1.xml")
 LEGS = ("FR", "FL", "RR", "RL")
 Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, action 0 [lab code]
 LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02  # m: thigh and calf length, hip to thigh, sole [URDF]
-# Seen in a mirror: right and left legs swap, and a hip angle outwards on one side is inwards on the other (D28)
+# MIRROR @ q are the joint angles of the mirrored robot: right and left legs swap, hip angles change their sign (D28)
 MIRROR = np.kron(np.kron(np.eye(2), [[0, 1], [1, 0]]), np.diag([-1, 1, 1]))  # (12, 12)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
 HIP = np.array([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])  # m [URDF]
-KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, Section IV-C
+KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, the gains of Section IV-C
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)  # N m, "effort" in the Go1's URDF
 VELOCITY_LIMIT = np.tile([30.1, 30.1, 20.06], 4)  # rad/s, "velocity" in the Go1's URDF, qd_max of Section V-D
 STALL_TORQUE = 33.0  # N m, Section V-D
 
 
 def leg_points(q):
-    """Where each leg may touch the ground first: centres of knee and foot in the trunk's frame [m].
+    """Where a leg may touch the ground first: the centres (..., 8, 3) [m] of each leg's knee and foot.
 
-    q: (..., 12) [rad] joint angles; returns (..., 8, 3), each the centre of a ball of FOOT_RADIUS. URDF kinematics.
+    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of FOOT_RADIUS.
     """
     hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
     forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)  # of the hip, knee then foot
@@ -41,7 +42,10 @@ def leg_points(q):
 
 
 def build_model(timestep, ground):
-    """The robot of go1.xml on its plane, or on a ground: heights (ny, nx) [m], see terrain.make_ground."""
+    """The MuJoCo model of the robot in go1.xml on a ground; timestep: [s] of the physics.
+
+    ground: heights (ny, nx) [m] as terrain.make_ground returns them, or None for a plane
+    """
     spec = mujoco.MjSpec.from_file(str(MODEL))
     spec.option.timestep = timestep
     if ground is not None:
@@ -49,8 +53,8 @@ def build_model(timestep, ground):
         half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
         spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.shape[0],
                         ncol=ground.shape[1], userdata=ground.ravel())  # fmt: skip
-        # A height field is made of prisms. A foot that sinks in too deep is pushed out of one sideways, into the next,
-        # and stays stuck: its contacts have to be as stiff as a timestep of 5 ms allows.
+        # A height field is made of prisms. A foot that sinks in too deep is pushed out of one prism sideways into the
+        # next and stays stuck. So the feet's contacts are as stiff as a timestep of 5 ms allows (D12).
         for leg in LEGS:
             spec.geom(f"{leg}_foot").solref = [0.01, 1.0]
         floor = spec.geom("floor")
@@ -73,9 +77,9 @@ def motor_model(target, q, qd):
     """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
 
     target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
-    Deviation D11: the paper's network is not public. This approximates the lab's published one, for errors below about
-    0.5 rad: a PD controller with 0.2 more damping, and the torque-speed limit. The network saturates earlier, at 18 N m
-    for 1 rad. A network can take the place of this function.
+    Deviation D11: the paper's network is not public. This function and the torque-speed limit after it approximate the
+    lab's published network for position errors below about 0.5 rad. It is a PD controller with 0.2 N m s / rad more
+    damping. That network saturates earlier, at 18 N m for 1 rad. A network can take the place of this function.
     """
     return KP * (target - q) - (KD + 0.2) * qd
 
@@ -84,7 +88,7 @@ def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 
     qd, qd_max: (..., 12) [rad/s]; returns (..., 12) [N m].
-    Deviation D7: never below 0. As printed the limit turns negative, i.e. meaningless, beyond qd_max.
+    Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max, which means nothing.
     """
     return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
 

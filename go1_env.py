@@ -1,12 +1,12 @@
 """The Unitree Go1 as a batched Markov decision process: NumPy around `mujoco.batch`.
 
-Sections IV-A to IV-C of the paper. `Go1Env` steps `num_envs` robots at once on C++ threads; the results are the
-same bits for any number of threads. It follows Gymnasium's vector conventions without the dependency:
+Sections IV-A to IV-C of the paper. `Go1Env` steps `num_envs` robots at once on C++ threads. The results are the same
+bits for any number of threads. It follows Gymnasium's vector conventions without the dependency:
 `reset(seed) -> obs, info` and `step(action) -> obs, reward, terminated, truncated, info`, with same-step autoreset:
 where an episode ended, `obs` is the first observation of the next one and `info["final_obs"]` the last of the old.
 
-One frame of the observation, in this order. The policy sees the last H frames, oldest first (D16); after a reset
-all of them are the first one. Only quantities that the robot can measure:
+The policy sees the last H frames, oldest first (D16). Right after a reset all of them are the first one. A frame holds
+only what the robot can measure, in this order:
 
 | entry                | width | unit    | scale      | noise +- (before scale)                                  |
 |----------------------|-------|---------|------------|----------------------------------------------------------|
@@ -17,8 +17,8 @@ all of them are the first one. Only quantities that the robot can measure:
 | previous action      | 12    | -       | 1          | 0                                                        |
 | timing reference     | 2     | -       | 1          | 0: sin and cos of one 3 Hz clock (D14), no gait prescribed |
 
-Joints and legs: FR, FL, RR, RL x hip, thigh, calf. Scales and noise are the lab's (D5).
-What differs between the tasks of Section IV-A is in `tasks.py`. This file knows nothing of learning.
+Joints are FR, FL, RR, RL x hip, thigh, calf. Noise is uniform. Scales and noise are the lab's (D5). What differs
+between the tasks of Section IV-A is in `tasks.py`. This file knows nothing of learning.
 """
 
 import json
@@ -40,11 +40,11 @@ import tasks
 import terrain
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
-ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action, hips half [lab code]
+ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
 FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
 FRAME_WIDTH = sum(FRAME.values())
 FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12, 2])
-# A frame seen in a mirror. The clock's is half a period later, which ties the two halves of a trot (D28)
+# FRAME_MIRROR @ frame is that of the mirrored robot, with the clock half a period later, as in a trot (D28)
 FRAME_MIRROR = block_diag(np.diag([1, -1, 1, 1, -1, -1]), go1.MIRROR, go1.MIRROR, go1.MIRROR, -np.eye(2))
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
@@ -55,11 +55,11 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
-    Raises ValueError for an unknown task, a non-positive count or a malformed range.
+    Raises ValueError for what tasks.check refuses.
     """
 
     action_size = 12
-    privileged_size = 3  # true body velocity: the critic sees it, the estimator learns it
+    privileged_size = 3  # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
 
     def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None):
         tasks.check(num_envs, env_cfg, threads)
@@ -70,7 +70,7 @@ class Go1Env:
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead (see step)
         mujoco.set_mju_user_warning(lambda message: None)
-        levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]  # a single tile is a rough one
+        levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]  # a single tile has the greatest
         self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m) if levels.any() else None
         model = go1.build_model(env_cfg.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
@@ -79,12 +79,12 @@ class Go1Env:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        self.contacts = batch.bind("sensordata")  # (N, 17) of the ground with trunk, hips, thighs; calves; feet
+        self.contacts = batch.bind("sensordata")  # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
         self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
     def reset(self, seed, command=None):
-        """Start every episode anew; returns obs, info (see step).
+        """Start a new episode for every robot; returns obs, info as `step` does.
 
         seed: int or numpy SeedSequence
         command: (N, 3) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
@@ -101,21 +101,21 @@ class Go1Env:
     def step(self, action):
         """One control step of 20 ms for every robot.
 
-        action:  (N, 12) [-] joint targets, as q_nominal + ACTION_SCALE * action
+        action:  (N, 12) [-]; joint targets are q_nominal + ACTION_SCALE * action
         returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
                  cost (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps (D17);
                  privileged (N, 3) [m/s] body velocity;
                  final_obs, final_privileged: the same before autoreset, to be used where an episode ended;
-                 log: what is worth a column in metrics.csv, floats to be averaged and booleans to be counted
+                 log: a dict of (N,) columns for metrics.csv, floats to be averaged and booleans to be counted
         """
         before = self.state.action.copy(), self.qvel[:, 6:].copy()
         self.state.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
         power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * self.state.action)
         self.state.age += 1
         linear, over_ground = self.body_velocity(), self.tracked_velocity("heading")
-        # MuJoCo resets what is not finite and counts a warning
+        # A simulation that is not finite is reset by MuJoCo, which counts a warning. Its episode ends with 0 (D44)
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
-        self.state.action[diverged] = 0.0  # it may be what was not finite
+        self.state.action[diverged] = 0.0  # the action may be what was not finite
         reward, extra = self._reward(over_ground, *before)
         reward, cost = np.where(diverged, 0.0, reward), np.where(diverged, 0.0, cost)
         power = np.where(diverged, energy.SURVIVAL, power)
@@ -152,7 +152,7 @@ class Go1Env:
         self.rng.bit_generator.state = json.loads(str(saved["rng"]))
 
     def _blank_state(self):
-        """What the next step depends on, beside the random generator. `reset` fills these arrays in, in place."""
+        """What the next step depends on, beside the random generator: arrays that are only changed in place."""
         n, batch = self.num_envs, self.batch
         return SimpleNamespace(
             sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
@@ -162,9 +162,9 @@ class Go1Env:
             gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
             strength=np.ones((n, 1)),  # of the motors
             offset=np.zeros((n, 12)),  # rad, of the motors' encoders
-            targets=np.zeros((self.env_cfg.latency + 1, n, 12)),  # rad, on their way to the motors
-            action=np.zeros((n, 12)),  # the last one, clipped
-            frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),  # of the observation, oldest first
+            targets=np.zeros((self.env_cfg.latency + 1, n, 12)),  # rad, on their way to the motors, oldest first
+            action=np.zeros((n, 12)),  # the previous one, clipped
+            frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),  # the observation, oldest first
             age=np.zeros(n, np.int64),  # control steps since the episode began
             tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
             off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it, see shaped.py
@@ -176,10 +176,10 @@ class Go1Env:
         )
 
     def _physics(self, target):
-        """Apply joint targets for one control step: mean power of its physics steps [W], their cost, and who fell.
+        """A control step with joint targets (N, 12) [rad]: means of its physics steps' power [W] and cost; who fell.
 
-        To fall is to touch the ground with trunk, hip or thigh (D13), on some tasks with anything but a foot.
-        Contacts are those that a physics step started from, as MuJoCo reports them: the last state is not seen.
+        To fall is to touch the ground, however lightly (D36), with trunk, hip or thigh (D13), on some tasks with
+        anything but a foot. Contacts are those with which a physics step begins: after the last one none is seen.
         """
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
         state, torques, speeds, fell = self.state, [], [self.qvel[:, 6:].copy()], np.zeros(self.num_envs, bool)
@@ -189,11 +189,11 @@ class Go1Env:
             torque = state.strength * motor(state.targets[0], q + state.offset, qd)
             self.ctrl[:] = go1.limit_torque(torque, qd, self.task.torque_speed or self.env_cfg.motor_model)
             torques.append(self.ctrl.copy())
-            self.batch.step()
+            self.batch.step()  # a joint may exceed the speed that the URDF gives for it (D37)
             fell |= (self.contacts[:, : 13 if self.task.only_feet else 9] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
         torques, speeds = np.array(torques), np.array(speeds)
-        # Work is torque times the way: with the speed before the step alone, what a torque does to it is lost (D17)
+        # A torque changes the speed during a physics step: its power takes the mean of speeds before and after (D17)
         cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)
         power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
         if self.env_cfg.aux == "smooth":
@@ -202,7 +202,7 @@ class Go1Env:
         return power, cost, fell
 
     def _reward(self, over_ground, action_before, qd_before):
-        """The reward of a step (N,), and what it adds to the log; before: action and qd [rad/s] a control step ago."""
+        """The reward (N,) of a step and its part of the log. *_before: action, qd [rad/s] of a control step ago."""
         velocity = over_ground if self.env_cfg.frame == "heading" else self.tracked_velocity(self.env_cfg.frame)
         reward, log = self.task.reward(velocity, self.state.command), {}
         if self.task.curriculum:
@@ -214,12 +214,12 @@ class Go1Env:
         return reward, log
 
     def felt_gravity(self, ids=slice(None)):
-        """Unit vectors (n, 3) along gravity in the trunk's frame, with the part that was added to it."""
+        """Unit vectors (n, 3) along gravity in the trunk's frame, added gravity included."""
         down = self.state.gravity[ids] / np.linalg.norm(self.state.gravity[ids], axis=-1, keepdims=True)
         return self._to_world(ids).apply(down, inverse=True)
 
     def attitude(self):
-        """Pitch, nose up, and roll, right side down, of the trunk: (2, N) [degrees]."""
+        """Pitch and roll (2, N) [degrees] of the trunk, positive with the nose up and with the right side down."""
         x, y, z = self._to_world().as_matrix()[:, 2].T  # the vertical in the trunk's frame
         return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
 
@@ -228,7 +228,7 @@ class Go1Env:
         return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
     def tracked_velocity(self, frame):
-        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), in the frame "body" or, over ground, "heading" (D25)."""
+        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), in the trunk's frame "body" or over ground, "heading" (D25)."""
         if frame == "body":
             return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
         to_world = self._to_world().as_matrix()
@@ -237,7 +237,7 @@ class Go1Env:
         return np.column_stack([cos * x + sin * y, cos * y - sin * x, (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)])
 
     def _to_world(self, ids=slice(None)):
-        """Orientation of the trunks of the robots `ids`."""
+        """Rotations from the trunk's frame to the world's, for the robots `ids`."""
         return Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
 
     def _frame(self, ids=slice(None)):
@@ -261,7 +261,7 @@ class Go1Env:
             state.command[ids] = state.given[ids]
         elif self.task.curriculum:
             success = curriculum.succeeded(*(state.tracked[ids] / self.env_cfg.command_steps).T)
-            state.weights[:] = curriculum.update(state.weights, state.cell[ids], success)  # in place: pi, pi' share it
+            state.weights[:] = curriculum.update(state.weights, state.cell[ids], success)  # in place: shared (D23)
             state.tracked[ids] = 0.0
             state.command[ids], state.cell[ids] = curriculum.sample(state.weights, self.rng, len(ids))
         else:
@@ -270,7 +270,7 @@ class Go1Env:
     def _reset(self, ids):
         """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command, history."""
         n, uniform, state, env_cfg = len(ids), self.rng.uniform, self.state, self.env_cfg
-        spread = env_cfg.start_spread  # 0.5: joint angles by up to half, m/s and rad/s of the trunk up to 0.5 (D35)
+        spread = env_cfg.start_spread  # of joint angles, relative, and of the trunk's velocity, m/s and rad/s (D35)
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         q = np.clip(go1.Q_NOMINAL * uniform(1 - spread, 1 + spread, (n, 12)), *self.joint_range)
         yaw = Rotation.from_rotvec(uniform(-np.pi, np.pi, n)[:, None] * [0.0, 0.0, 1.0])

@@ -1,10 +1,9 @@
 """Trained policies, measured as in Sections IV-D and V: episodes under the deterministic policy, and their statistics.
 
-Each episode keeps one command. Noise, friction and payload are drawn as in training, the ground is new; every policy
-starts from the same draws, from random poses as in training or from the nominal one. Numbers are means, in Table I
-interquartile means (D26), with 95 % bootstrap intervals: once of the episodes of all seeds pooled, as the paper has it,
-and once of the seeds, which is the honest one for three of them. An interquartile mean does not see what befalls less
-than a quarter of the episodes.
+Each episode keeps one command. It starts from a random pose as in training, or from the nominal one. Noise, friction
+and payload are drawn as in training, but the ground is new (D42). Every policy starts from the same draws. Numbers are
+means, or in Table I interquartile means (D26), with two 95 % bootstrap intervals. One resamples the episodes of all
+seeds, as the paper does. The other resamples the seeds, and so allows for what another training would give.
 """
 
 from dataclasses import replace
@@ -21,28 +20,28 @@ import run_folder
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
-SLOW = 0.05  # m/s: below this speed energy per velocity says nothing
-PEAK_STEPS = 10  # 0.2 s, over which the second peak velocity is averaged (D18)
+SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
+PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
 
 
 class Episodes(NamedTuple):
-    """One number per episode, (N,) each."""
+    """What is measured of N episodes (D42): one number of each, (N,). Speed ahead is over ground (D25, D27)."""
 
-    performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; 0 for the time after a fall
-    fell: np.ndarray  # bool, ended before the time limit
-    v_x: np.ndarray  # [m/s] mean speed ahead over ground (D25) while the episode lasted
-    v_x_late: np.ndarray  # [m/s] the same over the second half of the time limit, NaN if it ended before
-    power: np.ndarray  # [W] mean total power, without the survival bonus
-    energy: np.ndarray  # [J/m] power by v_x (D18, D27), NaN for a robot that hardly moves
+    performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; the time after a fall counts as 0
+    fell: np.ndarray  # bool, whether the episode ended before the time limit
+    v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
+    v_x_late: np.ndarray  # [m/s] the same in the second half of the time limit; NaN if the episode ended before it
+    power: np.ndarray  # [W] mean of mechanical power, heating and battery, Eq. (9), without the survival bonus (D18)
+    energy: np.ndarray  # [J/m] power / v_x (D18, D27); NaN for a robot that is slower than SLOW
     peak: np.ndarray  # [m/s] largest speed ahead (D18)
-    peak_sustained: np.ndarray  # [m/s] largest mean of 0.2 s
-    pitch: np.ndarray  # [degrees] mean of the trunk's, nose up
-    roll: np.ndarray  # [degrees] mean of the trunk's, right side down
+    peak_sustained: np.ndarray  # [m/s] largest mean speed ahead of 0.2 s (D18)
+    pitch: np.ndarray  # [degrees] mean pitch of the trunk, positive with the nose up
+    roll: np.ndarray  # [degrees] mean roll of the trunk, positive with the right side down
 
 
 @jax.jit
 def mean_action(params, obs):
-    """The action (N, 12) [-] for obs (N, D) without exploration noise; params: as of networks.policy."""
+    """The action (N, 12) [-] for obs (N, D), without exploration noise (D42); params: as for networks.policy."""
     return networks.policy(params, obs)[0]
 
 
@@ -52,10 +51,10 @@ def deterministic(params):
 
 
 def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads=None):
-    """The `deterministic` policy of a run folder, and a Go1Env to try it in.
+    """The `deterministic` policy of a run folder, and a Go1Env to try it in, with one robot for each episode.
 
-    num_episodes: all at once; clip: of Eq. (9), roughness: [m] of the ground, None is as trained
-    nominal: start from the nominal pose at rest, not from random poses and velocities as in training
+    clip, roughness: of Eq. (9), and [m] of the ground; None for either is as in training
+    nominal: start from the nominal pose at rest, not from random poses and velocities as in training (D35)
     """
     params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
     if nominal:
@@ -68,9 +67,9 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads
 
 
 def steps(policy, env, command=None):
-    """One episode of every robot; yields reward, log, who was still in the episode, and who fell in this step.
+    """One episode of every robot; yields, per step, reward, log, who was still in the episode, and who fell now.
 
-    command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; None: one that the task draws
+    command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; with None the task draws one for each
     """
     obs, _ = env.reset(SEED, command)
     alive = np.ones(env.num_envs, bool)
@@ -81,7 +80,7 @@ def steps(policy, env, command=None):
 
 
 def run_episodes(policy, env, command=None):
-    """Episodes of every robot of env; arguments as of `steps`."""
+    """The Episodes of all robots of env. Arguments are those of `steps`."""
     limit, totals, late = env.env_cfg.episode_steps, np.zeros((6, env.num_envs)), np.zeros((2, env.num_envs))
     recent, fell = np.zeros((PEAK_STEPS, env.num_envs)), np.zeros(env.num_envs, bool)
     peak, sustained = np.full((2, env.num_envs), -np.inf)
@@ -105,30 +104,28 @@ def run_episodes(policy, env, command=None):
 
 
 def finite_mean(x):
-    """Mean of what is finite of x, NaN if nothing is: J/m counts only robots that move, for example."""
+    """Mean of the finite numbers of x, or NaN if there are none. So J/m is that of the robots that move (D27)."""
     x = np.ravel(x)[np.isfinite(np.ravel(x))]
     return x.mean() if x.size else np.nan
 
 
 def iqm(x, axis=None):
-    """Interquartile mean: the mean of the middle half of x, any shape and unit."""
+    """Interquartile mean: the mean of the middle half of x. It does not see what befalls less than a quarter of x."""
     return stats.trim_mean(x, 0.25, axis=axis)
 
 
 def interval(x, statistic, **options):
-    """95 % percentile bootstrap interval (low, high) of a statistic of x: (n,); NaN if n is 1, where there is none."""
+    """95 % interval (low, high) of a statistic of x (n,), by the percentile bootstrap; NaN if n is 1."""
     if len(x) < 2:
         return np.nan, np.nan
-    rng = np.random.default_rng(SEED)
-    return stats.bootstrap(
-        (x,), statistic, method="percentile", n_resamples=2000, rng=rng, **options
-    ).confidence_interval
+    options |= dict(method="percentile", n_resamples=2000, rng=np.random.default_rng(SEED))
+    return stats.bootstrap((x,), statistic, **options).confidence_interval
 
 
 def summarise(name, by_seed, statistic=np.mean):
-    """A statistic, both of its intervals, the mean, and the number of episodes that count, as columns of a CSV.
+    """Columns of a CSV: a statistic, its intervals over episodes and seeds, the mean, and how many episodes count.
 
-    by_seed: list of (episodes,), one per seed; what is not finite is left out. statistic: np.mean or iqm (D26)
+    by_seed: list of (episodes,), one per seed; what is not finite does not count. statistic: np.mean or iqm (D26)
     """
     by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
     columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high", "_mean")]

@@ -1,15 +1,15 @@
-"""Actor, critic and estimator as functions of their parameters (Section IV-C.b), with a left and a right (D28).
+"""Actor, critic and estimator (Section IV-C.b) as functions of their parameters, tied by the robot's mirror (D28).
 
-A Go1 has a left and a right. Its mirror M swaps the legs and turns the sign of what points sideways. Robot, tasks and
-Eq. (9) stay the same under M, so a policy may obey pi(M s) = M pi(s). An MLP does, if M swaps its hidden units in pairs
-(right, left). Then even = (right + left) / sqrt 2 stays the same under M, odd = (right - left) / sqrt 2 changes its
-sign, and every linear layer falls apart into a product of the even coordinates and a product of the odd ones. Each has
-half the width and half the height, so together they have half the weights, and take half the arithmetic, of the dense
-layer that they equal. `EvenOdd` is an environment in these coordinates. In a plain MLP all coordinates are even.
+The mirror M of a Go1 swaps its right and left legs and changes the sign of what points sideways. Robot and tasks are
+symmetric, but for 2 mm in the trunk's centre of mass, and so is Eq. (9) with the power clip (D3). So a policy loses
+nothing by pi(M s) = M pi(s). An MLP obeys this if its hidden units are pairs (right, left) that M swaps. In each pair,
+even = (right + left) / sqrt 2 is the same after M, and odd = (right - left) / sqrt 2 changes its sign. A linear layer
+then maps even coordinates to even ones and odd to odd ones. Its two products have half the width and half the height
+of the dense layer's, so half the weights and arithmetic. In a plain MLP (--no-mirror) all coordinates are even.
 
-params    {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}, layers: [Layer, ...]
-D, P, A   widths of an observation, of what is privileged, and of an action: even coordinates first, then odd ones
-K         heads of the critic (task, cost)
+params    {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}; layers are [Layer, ...]
+D, P, A   widths of an observation, of the privileged part of a state and of an action: even coordinates, then odd ones
+K         outputs, or heads, of the critic: the value of the task and, for pi, the value of the cost
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from scipy.linalg import block_diag
 
 
 class Layer(NamedTuple):
-    """A linear layer. Only even outputs have a bias: it is the same for right and left."""
+    """A linear layer. Only even outputs have a bias, because right and left units share one."""
 
     even: jax.Array  # (even in, even out)
     odd: jax.Array  # (odd in, odd out)
@@ -30,7 +30,7 @@ class Layer(NamedTuple):
 
 
 def init_mlp(key, sizes):
-    """Layers of an MLP, uniform in +- 1/sqrt(fan-in) [lab code: PyTorch's default]; sizes: [(even, odd), ...]."""
+    """Random layers of an MLP, within +- 1/sqrt(fan-in) as in PyTorch [lab code]; sizes: [(even, odd), ...]."""
 
     def uniform(key, fan_in, *shape):
         return jax.random.uniform(key, shape, minval=-1, maxval=1) / np.sqrt(max(fan_in, 1))
@@ -44,7 +44,7 @@ def init_mlp(key, sizes):
 
 
 def elu(even, odd):
-    """ELU of the hidden units, right and left, which the coordinates (..., n), (..., n) stand for."""
+    """ELU of hidden units whose coordinates are even (..., n) and odd (..., n). It acts on the right and left units."""
     if odd.shape[-1] == 0:
         return jax.nn.elu(even), odd
     right, left = jax.nn.elu((even + odd) / np.sqrt(2)), jax.nn.elu((even - odd) / np.sqrt(2))
@@ -52,24 +52,19 @@ def elu(even, odd):
 
 
 def mlp(layers, even, odd):
-    """Even and odd outputs of even (..., n) and odd (..., m) inputs, ELU between the layers."""
+    """Even and odd outputs for even (..., n) and odd (..., m) inputs, with ELU between the layers."""
     *hidden, last = layers
     for layer in hidden:
         even, odd = elu(even @ layer.even + layer.bias, odd @ layer.odd)
     return even @ last.even + last.bias, odd @ last.odd
 
 
-def split(x, even):
-    """The even coordinates of x (..., n), which come first, and the odd ones."""
-    return x[..., :even], x[..., even:]
-
-
 def policy(params, obs):
-    """Mean and standard deviation (..., A) of the action, and the estimate (..., P) of what is privileged.
+    """Mean and standard deviation (..., A) of the action for obs (..., D), and the estimated body velocity (..., P).
 
-    obs: (..., D). The estimate is an input of the actor, but learns from its own error alone (D19).
+    The actor sees the estimate, but the estimator learns from its own error alone (D19).
     """
-    obs = split(obs, len(params["estimator"][0].even))
+    obs = jnp.split(obs, [len(params["estimator"][0].even)], -1)
     estimate = mlp(params["estimator"], *obs)
     seen = [jnp.concatenate(pair, -1) for pair in zip(obs, jax.lax.stop_gradient(estimate), strict=True)]
     mean = jnp.concatenate(mlp(params["actor"]["layers"], *seen), -1)
@@ -80,9 +75,9 @@ def policy(params, obs):
 
 @jax.jit
 def value(params, obs, privileged):
-    """The critic: (..., K) values of obs (..., D), privileged (..., P). A value is even."""
-    obs = split(obs, len(params["estimator"][0].even))
-    privileged = split(privileged, len(params["estimator"][-1].bias))
+    """The critic's values (..., K) of obs (..., D) with privileged (..., P). A mirrored state has the same value."""
+    obs = jnp.split(obs, [len(params["estimator"][0].even)], -1)
+    privileged = jnp.split(privileged, [len(params["estimator"][-1].bias)], -1)
     return mlp(params["critic"], *(jnp.concatenate(pair, -1) for pair in zip(obs, privileged, strict=True)))[0]
 
 
@@ -95,20 +90,20 @@ def log_prob(mean, std, action):
 
 
 def even_odd(mirror):
-    """Orthogonal matrix (n, n) from plain coordinates x to even and odd ones, x @ matrix, and how many are even.
+    """An orthogonal matrix B (n, n) such that x @ B are the even, then the odd coordinates of x; and how many are even.
 
-    mirror: (n, n) signed permutation that is its own inverse. Entries that it swaps give one coordinate of each kind.
+    mirror: (n, n) signed permutation that is its own inverse. Two entries that it swaps give a coordinate of each kind.
     """
-    first = np.argmax(mirror != 0, 1) >= np.arange(len(mirror))  # of the two that are swapped
+    first = np.argmax(mirror != 0, 1) >= np.arange(len(mirror))  # of two swapped entries the first one
     even, odd = ((np.eye(len(mirror)) + sign * mirror)[:, first] for sign in (1, -1))
     even, odd = (part[:, part.any(0)] / np.linalg.norm(part[:, part.any(0)], axis=0) for part in (even, odd))
     return np.hstack([even, odd]).astype(np.float32), even.shape[1]
 
 
 class EvenOdd:
-    """An environment in even and odd coordinates. Its sizes are pairs: how many are even, how many odd.
+    """An environment in even and odd coordinates. Its sizes are pairs: how many are even, and how many are odd.
 
-    env.mirror: {"obs", "privileged", "action"}: signed permutations; if not mirrored, all coordinates are even
+    env.mirror: {"obs", "privileged", "action"}, a signed permutation each; mirrored: False makes all coordinates even
     """
 
     def __init__(self, env, mirrored=True):
@@ -129,7 +124,7 @@ class EvenOdd:
         return obs @ self.obs, *rest, info | seen | dict(final_obs=info["final_obs"] @ self.obs)
 
     def dense(self, params):
-        """The actor and the estimator in plain coordinates, as plain MLPs: what a policy is elsewhere."""
+        """params with actor and estimator as plain MLPs in plain coordinates, as `policy.npz` has them; no critic."""
         seen, _ = even_odd(block_diag(self.mirror["obs"], self.mirror["privileged"]))
         pairs = np.square(self.action[:, : len(params["actor"]["log_std"])])
         log_std = pairs @ params["actor"]["log_std"] / pairs.sum(1)
@@ -138,9 +133,9 @@ class EvenOdd:
 
 
 def dense(layers, basis_in, basis_out):
-    """Layers of the plain MLP that equals a mirrored one: its units are right and left ones, its coordinates even.
+    """Layers of the plain MLP that equals a mirrored one. Its hidden units are the right and left ones themselves.
 
-    basis_in, basis_out: from plain coordinates to even and odd ones, of the input and of the output
+    basis_in, basis_out: matrices of `even_odd` for the input and for the output
     """
     plain = []
     for i, layer in enumerate(layers):

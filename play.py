@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-if HEADLESS:  # MuJoCo decides how to draw when it is imported
+if HEADLESS:  # MuJoCo decides on import how it will draw
     backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
 
@@ -32,12 +32,12 @@ import terrain
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
-AROUND = 7  # periods of the ground that are drawn in x and in y, the robot is on the middle one
-SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF: two megabytes are four seconds on rough ground
+AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
+SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF; four seconds on rough ground take 2 MB
 
 
 def make_env(env_cfg, roughness=None):
-    """One robot whose episode does not end by time, on a single tile; roughness: [m], None for the run's greatest."""
+    """One robot on one tile, whose episode has no time limit. roughness: [m], or None for the greatest of the run."""
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
     return go1_env.Go1Env(1, replace(env_cfg, **changes), threads=1)
@@ -46,7 +46,8 @@ def make_env(env_cfg, roughness=None):
 def play(env, folder, command, follow=False):
     """Run the deterministic policy of a run folder forever; yields the log of each control step (see Go1Env.step).
 
-    command: (3,) [m/s, m/s, rad/s], which the caller may change in place; follow: load each new policy.npz
+    command: (3,) [m/s, m/s, rad/s], which the caller may change in place
+    follow:  whether to load policy.npz again whenever training has written a new one
     """
     path, loaded = Path(folder) / "policy.npz", None
     obs, _ = env.reset(0, command)
@@ -62,7 +63,7 @@ def play(env, folder, command, follow=False):
 
 
 def make_scene(env):
-    """Model and data to draw env with: the ground goes on as far as one can see, but only the robot's tile is real."""
+    """Model and data to draw env with. The robot's tile is repeated, so that the ground goes on as far as one sees."""
     ground = env.ground
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
@@ -72,7 +73,7 @@ def make_scene(env):
 
 
 def show(env, model, data):
-    """Put the drawn robot where the simulated one is."""
+    """Put the drawn robot where the simulated one is, on the middle tile."""
     data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
     if env.ground is not None:
         data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
@@ -88,13 +89,13 @@ def point(camera, env, model):
 
 
 def caption(log, command):
-    """What the robot is asked to do and does, in one line."""
+    """One line that says what the robot is asked to do and what it does."""
     asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True) if x)
     return f"{'asked ' + asked + '   ' if asked else ''}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
 
 
 def watch(env, steps, command):
-    """The viewer, in real time, until its window is closed."""
+    """Show steps (an iterator of `play`) in the viewer, in real time, until its window is closed."""
 
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
@@ -113,7 +114,7 @@ def watch(env, steps, command):
             viewer.sync()
             time.sleep(max(0.0, env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
-        thread.join(5.0)  # the viewer's: GLFW may hang if Python ends before it
+        thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
 
 def save_gif(path, env, steps, seconds, command):
@@ -128,14 +129,14 @@ def save_gif(path, env, steps, seconds, command):
             renderer.update_scene(data, camera)
             image = Image.fromarray(renderer.render())
             ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
-            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames: smaller
+            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames is smaller
             images.append(image.quantize(dither=Image.Dither.NONE, **palette))
     duration = round(1000 * env.period * STEPS_PER_FRAME)
     images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
 
 
 def writable(path):
-    """The path of a GIF, once it is clear that it can be written. Raises ValueError or OSError."""
+    """The path, if a GIF can be written there. Raises ValueError or OSError if not."""
     if Path(path).suffix.lower() != ".gif":
         raise ValueError(f"{path} does not end in .gif")
     Path(path).touch()

@@ -3,20 +3,19 @@
 Every function takes
 
     velocity: (..., 3)  v_x, v_y [m/s] and yaw rate omega_z [rad/s] of the robot
-    command:  (..., 3)  what was asked for, in the same order and units
+    command:  (..., 3)  v_x, v_y [m/s] and yaw rate [rad/s] that were asked for
 
-and returns (...,) [-]: the reward r of Eq. (1) for one control step. Any leading batch shape will do.
-
-The paper names no frame for the velocity. The environment passes the heading frame, i.e. speed over ground, unless
-`tasks.Config.frame` says otherwise (D25). Rewards are not scaled by the length of a step here (the learner does that,
-D10).
+with any leading batch shape. `flat`, `rough`, `max_velocity` and `curriculum` return (...,): the reward r of Eq. (1)
+for one control step. It has no unit, but that of Eq. (7) is in m/s. The learner scales it by the length of a step
+(D10). The paper names no frame of reference for the velocity. The environment passes the velocity over ground, in the
+horizontal frame that is turned with the robot's heading, unless `tasks.Config.frame` says otherwise (D25).
 """
 
 import numpy as np
 from numpy import exp, minimum, square
 
-SIGMA_VXY = 0.25  # m^2/s^2; not in the paper, the lab's value (D5)
-SIGMA_WZ = 0.25  # rad^2/s^2; not in the paper, the lab's value (D5)
+SIGMA_VXY = 0.25  # m^2/s^2, the lab's value; the paper prints none (D5)
+SIGMA_WZ = 0.25  # rad^2/s^2, the lab's value; the paper prints none (D5)
 
 
 def unpack(velocity, command):
@@ -25,7 +24,7 @@ def unpack(velocity, command):
 
 
 def flat(velocity, command):
-    """Eq. (5), at most 1.5. The min says that to run faster than asked is no error."""
+    """Eq. (5), at most 1.5. Because of the min it is no error to run faster than asked."""
     v_x, v_y, w_z, v_x_cmd, v_y_cmd, w_z_cmd = unpack(velocity, command)
     return (exp(-(square(minimum(v_x - v_x_cmd, 0)) + square(v_y - v_y_cmd)) / SIGMA_VXY)
             + 0.5 * exp(-square(w_z - w_z_cmd) / SIGMA_WZ))  # fmt: skip
@@ -40,7 +39,7 @@ def rough(velocity, command):
 
 
 def max_velocity(velocity, command):
-    """Eq. (7), unbounded; negative for a robot that runs backwards. v_x has no command."""
+    """Eq. (7) [m/s]. It has no bound, is negative for a robot that runs backwards, and takes no command of v_x."""
     v_x, v_y, w_z, _, v_y_cmd, w_z_cmd = unpack(velocity, command)
     return v_x * exp(-square(v_y - v_y_cmd) / SIGMA_VXY - square(w_z - w_z_cmd) / SIGMA_WZ)
 
@@ -53,6 +52,6 @@ def kernels(velocity, command):
 
 
 def curriculum(velocity, command):
-    """Eq. (8), at most 1.5: Eq. (5) without the min, so that to run too fast is an error as well."""
+    """Eq. (8), at most 1.5. This is Eq. (5) without the min, so it is an error to run too fast as well."""
     linear, angular = kernels(velocity, command)
     return linear + 0.5 * angular

@@ -1,14 +1,14 @@
 """What a run leaves on disk, written by `train.py` and read by everything that looks at a run.
 
-    config.json      every setting; command, commit, machine and versions of the start and of every resumption
+    config.json      every setting; and the command, commit, machine and versions of the start and of each resumption
     metrics.csv      a row per iteration; columns that hold clock time have "time" or "per_s" in their name
     checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha, simulations, random generators
-    policy.npz       what it takes to run the policy
+    policy.npz       all that it takes to run the policy
     curves.png       the metrics, drawn
     commands.png     on the task `curriculum`: which commands it has reached
 
-Nothing is pickled. Files are replaced in one step, so whoever reads them finds the old one or the new one. Whatever
-cannot be read raises ValueError with one line that says why.
+Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader finds the old file
+or the new one. What cannot be read raises ValueError with one line that says why.
 """
 
 import csv
@@ -37,7 +37,7 @@ import tasks
 
 
 def commit():
-    """Commit of this source, with a + if tracked files were changed since; "unknown" outside a git checkout."""
+    """The commit of this source, with a + if tracked files have changed since; "unknown" outside a git checkout."""
     command = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
         return subprocess.check_output(command, cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True).strip()
@@ -56,7 +56,7 @@ def replace_file(path, write):
 
 
 def save_config(folder, env_cfg, cfg, argv, resume=False):
-    """config.json: both Configs, and how, with what and where the run was started and, each time, resumed."""
+    """Write config.json: both Configs, and one more entry that says how, with what and where the run was started."""
     starts = json.loads((folder / "config.json").read_text())["starts"] if resume else []
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
@@ -66,7 +66,7 @@ def save_config(folder, env_cfg, cfg, argv, resume=False):
 
 
 def tuples(record):
-    """JSON has no tuples: turn the lists of a record back."""
+    """The record with its lists turned back into tuples, which JSON does not have."""
     return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
 
 
@@ -82,7 +82,7 @@ def load_config(folder):
 
 
 def read_npz(path):
-    """The arrays of an npz file as a dict. Raises ValueError, in one line, for what is not a whole one."""
+    """The arrays of an npz file as a dict. Raises ValueError, in one line, for a missing or damaged file."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
@@ -93,7 +93,7 @@ def read_npz(path):
 
 
 def save_checkpoint(path, state, envs):
-    """Everything: learners, optimisers, alpha, and for each environment its simulations and random generator."""
+    """Write checkpoint.npz: learners, optimisers, alpha, and the simulations and random generator of each of envs."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
     for i, env in enumerate(envs):
@@ -102,7 +102,7 @@ def save_checkpoint(path, state, envs):
 
 
 def load_checkpoint(path, template, envs):
-    """Restore the environments in place; returns the State. template: any State of this configuration."""
+    """The State in checkpoint.npz; envs are restored in place. template: any State of the same configuration."""
     arrays = read_npz(path)
 
     def restore(key, like):
@@ -122,16 +122,16 @@ def load_checkpoint(path, template, envs):
 
 
 def save_policy(path, params, env_cfg):
-    """policy.npz: what it takes to run the policy without JAX and without this project. README shows how.
+    """Write policy.npz: all that it takes to run the policy without JAX and this project, as README shows.
 
-    params: of plain MLPs, as `networks.EvenOdd.dense` returns them
+    params: of plain MLPs, as `networks.EvenOdd.dense` returns them. The file has these arrays:
 
     estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
     actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
     log_std                (12,) of the noise in training; a deployed policy takes the mean
-    frame_scale            (44,) units -> observation; the entries of a frame are the table at the top of go1_env.py
-    q_nominal              (12,) [rad]; action_scale (12,) [rad]: the target of the PD controller is their sum
-    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, at the rate of the physics
+    frame_scale            (44,) SI units -> observation; the table at the top of go1_env.py lists a frame's entries
+    q_nominal              (12,) [rad]; action_scale (12,) [rad]: joint targets are q_nominal + action_scale * action
+    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, which runs at the rate of the physics
     config                 tasks.Config as JSON: history H, timestep, physics_steps, action_limit ...
 
     Joints: FR, FL, RR, RL x hip, thigh, calf.
@@ -162,10 +162,10 @@ def load_policy(path):
 
 
 class Log:
-    """metrics.csv, as it grows."""
+    """metrics.csv, which grows by a row in each iteration."""
 
     def __init__(self, folder, done):
-        """done: iterations behind us; rows after them are dropped, because they will be computed again."""
+        """done: iterations behind us. Later rows are dropped, because their iterations will be computed again."""
         self.path, self.done, self.start = folder / "metrics.csv", done, time.monotonic()
         kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
         if done and len(kept) < done + 1:
@@ -173,7 +173,7 @@ class Log:
         replace_file(self.path, lambda file: file.write("".join(kept).encode()))
 
     def row(self, iteration, metrics):
-        """Write one row, and return it as a dict. Time counts from the last start or resume."""
+        """Write one row, and return it as a dict. Time counts from the last start or resumption."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
@@ -183,15 +183,15 @@ class Log:
 
 
 def read_metrics(folder):
-    """The columns of metrics.csv, {"iteration": (n,), "reward": (n,), ...}; NaN is missing, {} has no row yet."""
+    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no row yet."""
     with open(folder / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
 
 
 def draw_curves(folder):
-    """curves.png: the columns of metrics.csv that tell the story, over environment steps."""
-    from matplotlib.figure import Figure  # slow to import, and only wanted here
+    """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
+    from matplotlib.figure import Figure  # here, because it is slow to import
 
     columns = read_metrics(folder)
     panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
@@ -208,7 +208,7 @@ def draw_curves(folder):
 
 
 def draw_commands(folder, weights):
-    """commands.png: how far the curriculum has come, its weights over the commands (see curriculum.py)."""
+    """Draw commands.png: the weights of the curriculum over the commands (see curriculum.py)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

@@ -1,6 +1,6 @@
-"""The shaped reward of reference [5], a baseline of Section V-E: tracking and ten things that a gait should not do.
+"""The shaped reward of reference [5], a baseline of Section V-E: two terms for tracking, and ten for a good gait.
 
-Terms and weights are the lab's [lab code]. `train.py --reward shaped` puts `reward` in the place of the task reward.
+Terms and weights are those of the lab's code (D5). `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
 """
 
 from typing import NamedTuple
@@ -13,15 +13,15 @@ import terrain
 WEIGHTS = dict(linear=1.0, angular=0.5, v_z=-2.0, roll_pitch_rate=-0.05, tilt=-5.0, torque=-1e-4, qdd=-2.5e-7,
               height=-30.0, air_time=1.0, collisions=-1.0, action_change=-0.01, joint_limits=-10.0)  # fmt: skip
 HEIGHT = 0.34  # m, of the trunk above the ground
-SOFT_LIMIT = 0.9  # of a joint's range; going beyond costs
-LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: thighs, calves; feet
+SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
+LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: of thighs and calves; of feet
 
 
 class Motion(NamedTuple):
-    """What the shaped reward looks at, any leading batch shape."""
+    """What the shaped reward looks at. Any leading batch shape will do."""
 
     velocity: np.ndarray  # (..., 3) v_x, v_y [m/s] and yaw rate [rad/s], as for the task reward
-    command: np.ndarray  # (..., 3) the same, as asked for
+    command: np.ndarray  # (..., 3) the velocity that was asked for
     v_z: np.ndarray  # (...,) [m/s] body velocity upwards
     roll_pitch_rate: np.ndarray  # (..., 2) [rad/s]
     gravity: np.ndarray  # (..., 3) [-] unit vector down, in the body frame
@@ -29,14 +29,14 @@ class Motion(NamedTuple):
     qdd: np.ndarray  # (..., 12) [rad/s^2]
     height: np.ndarray  # (...,) [m] of the trunk above the ground
     landed: np.ndarray  # (..., 4) [s] see `landings`
-    collisions: np.ndarray  # (...,) [-] parts of the legs on the ground, feet apart
+    collisions: np.ndarray  # (...,) [-] number of thighs and calves that touch the ground
     action_change: np.ndarray  # (..., 12) [-] since the last step
     q: np.ndarray  # (..., 12) [rad]
     joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits
 
 
 def observe(env, velocity, action_before, qd_before):
-    """Motion of the robots of a Go1Env after its physics; before: action and qd [rad/s], (N, 12), a step ago."""
+    """The Motion of a Go1Env's robots after a control step. *_before: (N, 12) action, qd [rad/s] of a step ago."""
     ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
     return Motion(
         velocity=velocity, command=env.state.command, v_z=env.body_velocity()[:, 2], roll_pitch_rate=env.qvel[:, 3:5],
@@ -47,9 +47,9 @@ def observe(env, velocity, action_before, qd_before):
 
 
 def landings(off_ground, touch, period):
-    """How long a foot that lands now was in the air, 0 for the others: (N, 4) [s].
+    """How long each foot that lands now was in the air, and 0 for the other feet: (N, 4) [s].
 
-    off_ground: (N, 4) int, control steps since each foot last touched the ground, counted on in place; begin with 1
+    off_ground: (N, 4) int, control steps since each foot touched the ground. It is updated in place and begins as 1
     touch:      (N, 4) bool, which feet are on the ground now
     period:     [s] of a control step
     A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].

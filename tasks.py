@@ -1,6 +1,6 @@
-"""What a task of Section IV-A is, for the world and for the learner; and every setting of the world.
+"""The four tasks of Section IV-A, and every setting of the simulated world.
 
-`task_config` makes the Config of the world, and `train.py` that of the learner, with these values:
+`task_config` makes the Config of the world with these values, and `train.py` makes that of the learner:
 
 |                   | flat              | rough      | velocity     | curriculum                  | source            |
 |-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
@@ -9,11 +9,12 @@
 | history H         | 5                 | 10         | 10           | 5 (D24)                     | [V-A, B, D]       |
 | roughness         | 0                 | 0 to 15 cm | 5 cm         | 0 to 5 cm                   | [IV-A]            |
 | noise cells per m | -                 | 1 (D22)    | 4            | 4                           | [lab code]        |
-| a fall: ground at | trunk, hip, thigh | as flat    | all but feet | all but feet, or 800 W (D17) | D13, [IV-A.3, 4] |
-| motors            | PD                | PD         | PD, V-D      | model (D11), 30 ms late     | [IV-A.4], [V-D]   |
+| episode (D29)     | 250 steps         | as flat    | as flat      | 1000 steps                  | [ours], [lab code] |
+| ends if it touches | trunk, hip, thigh | as flat   | all but feet | all but feet, or above 800 W | D13, [IV-A.3, 4] |
+| motors            | PD                | PD         | PD, limit of V-D | model (D11), 30 ms late | [IV-A.4], [V-D]   |
 | noise             | `go1_env.py`      | as flat    | as flat      | as flat                     | [lab code]        |
-| friction          | 0.5 to 1.25       | as flat    | as flat      | 0.1 to 1.25 (D24)           | [ours]            |
-| payload on trunk  | +- 1 kg           | as flat    | as flat      | -1 to 3 kg                  | [ours], [lab code] |
+| friction of feet  | 0.5 to 1.25 (D34) | as flat    | as flat      | 0.1 to 1.25 (D24)           | [ours]            |
+| payload on trunk  | +- 1 kg (D34)     | as flat    | as flat      | -1 to 3 kg                  | [ours], [lab code] |
 | centre of mass    | 0                 | 0          | 0            | +- 5 cm                     | [ours]            |
 | motor strength    | 1                 | 1          | 1            | 0.9 to 1.1                  | [lab code]        |
 | motor offset      | 0                 | 0          | 0            | +- 0.02 rad                 | [lab code]        |
@@ -22,8 +23,8 @@
 | iterations        | 4000              | 4000       | 10 000       | 10 000 (D24)                | [V-A, B, D]       |
 | environments      | 256               | 256        | 128          | 256                         | [ours]            |
 
-Everything that has a range is drawn for an episode. `velocity` has fewer environments because there no reward for
-standing still has to be overcome.
+What has a range is drawn anew for each episode, and the command twice in each. `velocity` needs fewer environments,
+because there a robot that stands still earns nothing (D9).
 """
 
 from collections.abc import Callable
@@ -37,15 +38,15 @@ import terrain
 
 
 class Task(NamedTuple):
-    """What makes a task of Section IV-A that task: see the table at the top of this file."""
+    """What makes a task of Section IV-A that task, as in the table at the top of this file."""
 
     reward: Callable
     world: dict  # fields of Config that differ from their defaults
     learner: dict  # fields of eipo.Config that differ from their defaults
     command_high: tuple = (0.0, 0.0, 0.0)  # v_x, v_y [m/s], yaw rate [rad/s], drawn from 0 to this
-    only_feet: bool = False  # may touch the ground; if not, the calves may as well
-    torque_speed: bool = False  # limit of Section V-D
-    curriculum: bool = False  # commands come from curriculum.py
+    only_feet: bool = False  # whether the feet alone may touch the ground; otherwise the calves may, too (D13)
+    torque_speed: bool = False  # whether the torque-speed limit of Section V-D holds
+    curriculum: bool = False  # whether commands come from curriculum.py
 
 
 FORWARD = (1.0, 0.0, 0.0)
@@ -65,33 +66,33 @@ TASKS = {
 
 @dataclass(frozen=True)
 class Config:
-    """What the world is like. Every field says where its value comes from; what differs by task, `task_config` sets."""
+    """Settings of the world. A field's tag says where its value comes from; `task_config` sets what differs by task."""
 
-    task: str = "flat"  # [IV-A] one of TASKS
-    history: int = 5  # [V-A] H, frames of observation that the policy sees
+    task: str = "flat"  # [IV-A] flat, rough, velocity or curriculum
+    history: int = 5  # [V-A] H, number of the latest observations that the policy sees (D16)
     episode_steps: int = 250  # [ours] control steps, 5 s; the evaluation plays the paper's 1000 (D29)
     command_steps: int = 125  # [ours] control steps between two draws of the command, 2.5 s; the lab: 10 s (D29)
-    timestep: float = 0.005  # [lab code] s, one physics step
+    timestep: float = 0.005  # [lab code] s, length of a physics step
     physics_steps: int = 4  # [lab code] physics steps per control step: 50 Hz
-    clock_hz: float = 3.0  # [ours] D14, frequency of the timing reference
+    clock_hz: float = 3.0  # [ours] Hz, frequency of the timing reference (D14)
     action_limit: float = 10.0  # [lab code] actions are clipped to +- this
-    frame: str = "heading"  # [ours] of the velocities in Eqs. (5)-(8): over ground, or of the "body" (D25)
+    frame: str = "heading"  # [ours] of velocity in Eqs. (5) to (8): "heading", which is over ground, or "body" (D25)
     clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or each joint's "power" (D3)
     noise: float = 1.0  # [lab code] factor on the noise of the observation
-    roughness: tuple = (0.0, 0.0)  # [IV-A] m, range of the ground's height from lowest to highest point; 0 is a plane
-    cells_per_m: int = 4  # [lab code] of the Perlin noise (D22)
-    ground_seed: int = 0  # [ours] of the noise; the evaluation runs on ground of its own
-    start_spread: float = 0.5  # [lab code] how far an episode starts from the nominal pose at rest (D35)
-    tiles: int = 16  # [ours] of the ground, from the least to the greatest roughness; an episode draws one
-    friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode
-    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode
+    roughness: tuple = (0.0, 0.0)  # [IV-A] m, range over tiles of the height from lowest to highest point; 0: plane
+    cells_per_m: int = 4  # [lab code] cells of the Perlin noise per metre (D22)
+    ground_seed: int = 0  # [ours] seed of the Perlin noise; the evaluation has ground of its own
+    start_spread: float = 0.5  # [lab code] spread of starting joint angles (relative), trunk m/s and rad/s (D35)
+    tiles: int = 16  # [ours] number of tiles, from the least to the greatest roughness; an episode draws one
+    friction: tuple = (0.5, 1.25)  # [ours] range of the feet's sliding friction, drawn per episode (D34)
+    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the mass added to the trunk, drawn per episode (D34)
     com: tuple = (0.0, 0.0)  # [ours] m, range of a shift of the trunk's centre of mass along each axis
     motor_strength: tuple = (1.0, 1.0)  # [lab code] range of a factor on every torque of the robot
     motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of an error in where each motor's zero is
-    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range added to gravity along each axis (there anew every 8 s)
+    gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range added to gravity along each axis (the lab: anew every 8 s)
     motor_model: bool = False  # [IV-A.4] a model of the real motors (D11), not an ideal PD controller
-    latency: int = 0  # [lab code] physics steps until a target reaches the motors
-    max_power: float | None = None  # [IV-A.4] W, more in one control step ends the episode (D17); none: no limit
+    latency: int = 0  # [lab code] physics steps by which a joint target reaches the motors late
+    max_power: float | None = None  # [IV-A.4] W, more power in a control step ends the episode (D17); none: no limit
     reward: str = "paper"  # [V-E] the task reward: "paper", Eqs. (5) to (8), or "shaped", as in reference [5]
     aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that they do not all end at once
@@ -104,12 +105,12 @@ def task_config(task="flat", **changes):
     return Config(**dict(task=task) | TASKS[task].world | changes)
 
 
-MOST_FRICTION = 1.5  # MuJoCo's pyramidal contacts give way the more friction they have: test_no_foot_sinks_in
+MOST_FRICTION = 1.5  # the more friction a foot has, the deeper MuJoCo lets it sink in, see test_no_foot_sinks_in (D24)
 MAY_BE_ZERO = ("start_spread", "noise", "clock_hz", "latency", "ground_seed")
 
 
 def check(num_envs, env_cfg, threads):
-    """Raise ValueError, in one line, for what no world can be built from."""
+    """Raise ValueError, in one line, for settings from which no world can be built."""
     task_config(env_cfg.task)
     for name, choices in dict(
         frame=("heading", "body"), clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")

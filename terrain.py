@@ -1,37 +1,38 @@
 """Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
 
-The paper says "Perlin noise" and how rough: 0 to 15 cm, 5 cm. Roughness is the height from the deepest to the highest
-point. The lab's code has 4 cells per metre, and 1 in the file of its EIPO code (D22).
+The paper says that the ground is Perlin noise, and how rough it is on each task. We take roughness to be the height
+from the lowest to the highest point of a tile. The paper does not say how fine the noise is. The lab's code has 4 cells
+per metre, and 1 in the file of its EIPO code (D22).
 
-All robots share one height field, a row of square tiles with a roughness each. A tile is periodic: what leaves it on
-one side finds the same ground on the other, so a robot never runs off the world. Around a tile lies an apron of its own
-continuation, so that a foot which is past the edge while the trunk is not stands on the right ground as well.
+All robots share one height field, a row of square tiles, each with its own roughness. A tile is periodic: where a robot
+leaves it, the ground goes on as at the opposite edge, and there the robot is put. So no robot runs off the world. Each
+tile has an apron, which continues it on all sides, for feet that are past the edge while the trunk is not.
 """
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-TILE, APRON = 4.0, 1.0  # m, side of a tile and width of its continuation on every side [ours]
+TILE, APRON = 4.0, 1.0  # m, side of a tile and width of its apron [ours]
 PITCH = TILE + 2 * APRON  # m, from one tile to the next
 SPACING = 0.05  # m, between two points of the height field [lab code]
 
 
 def fade(t):
-    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3: from 0 to 1 on [0, 1], slope and curvature 0 at both ends."""
+    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3. It rises from 0 at 0 to 1 at 1, both with slope and curvature 0."""
     return t**3 * (t * (6 * t - 15) + 10)
 
 
 def random_gradients(rng, cells):
-    """Unit vectors (cells, cells, 2), one for each point of a periodic lattice; rng: numpy Generator."""
+    """Random unit vectors (cells, cells, 2), one for each point of a periodic lattice. rng: numpy Generator."""
     angle = rng.uniform(0, 2 * np.pi, (cells, cells))
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def perlin(x, y, gradients):
-    """Perlin noise (...,) [-]: at each corner of the cell a plane through 0 with that gradient, faded into each other.
+    """Perlin noise (...,) [-]. Each corner of a cell gives a plane that is 0 there; the four are faded into each other.
 
-    x, y:      (...,) [cells]; the noise is 0 where both are whole numbers
-    gradients: (n, m, 2) of the lattice points, repeated forever: the noise has period n in x and m in y
+    x, y:      (...,) [cells] where to take the noise; it is 0 at the lattice points, where both are whole numbers
+    gradients: (n, m, 2) slopes of the planes of the lattice points, repeated with period n in x and m in y
     """
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
     u, v = x - i, y - j
@@ -45,7 +46,7 @@ def perlin(x, y, gradients):
 
 
 def tile(rng, roughness, cells_per_m=4):
-    """Heights (n, n) [m] of one period of ground, n = TILE / SPACING; roughness: [m] from lowest to highest point."""
+    """Heights (n, n) [m] of one tile, n = TILE / SPACING. roughness: [m] from its lowest to its highest point."""
     gradients = random_gradients(rng, round(TILE * cells_per_m))
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
     noise = perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
@@ -53,26 +54,26 @@ def tile(rng, roughness, cells_per_m=4):
 
 
 def make_ground(roughness, seed=0, cells_per_m=4):
-    """The height field (ny, nx) [m] with a tile for each roughness, (tiles,) [m]; every tile has noise of its own.
+    """The height field (ny, nx) [m] of all tiles, which follow each other along x. Each has noise of its own.
 
-    The point (i, j) lies at y = i SPACING, x = j SPACING. The tiles follow each other along x.
+    roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j SPACING.
     """
     rng, margin = np.random.default_rng(seed), round(APRON / SPACING)
     return np.hstack([np.pad(tile(rng, r, cells_per_m), margin, mode="wrap") for r in roughness])
 
 
 def origin(index):
-    """Corner (..., 2) [m] of the tile of that index (...,), which reaches from there to TILE further in x and y."""
+    """The corner (..., 2) [m] where the tile `index` (...,) begins. It ends TILE further in x and in y."""
     return np.stack([PITCH * index + APRON, np.full(np.shape(index), APRON)], -1)
 
 
 def wrap(xy, index):
-    """The place (..., 2) [m] within the tile `index` (...,) where the ground is as at xy (..., 2) [m]."""
+    """The point (..., 2) [m] inside the tile `index` (...,) around which the ground is as around xy (..., 2) [m]."""
     corner = origin(index)
     return xy - TILE * np.floor((xy - corner) / TILE)
 
 
 def height(ground, xy):
-    """Height of the ground (...,) [m] at xy (..., 2) [m], linear between the points of the field."""
+    """Height (...,) [m] of the height field `ground` at xy (..., 2) [m], linear between its points."""
     flat = xy.reshape(-1, 2).T / SPACING
     return map_coordinates(ground, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])

@@ -1,8 +1,8 @@
 """The command line: `python train.py --task flat` trains a policy and keeps everything in a run folder.
 
-Every field of the three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. What
-a run folder holds is listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on with --resume
-and ends with the same bits as one that was never stopped.
+Every field of three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. The files
+of a run folder are listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on from its last
+checkpoint with --resume and ends with the same bits as one that was never stopped.
 """
 
 import argparse
@@ -25,10 +25,10 @@ import tasks
 
 @dataclass(frozen=True)
 class Options:
-    """How to run: none of these changes what is learned."""
+    """How to run. None of these fields changes what is learned."""
 
     out: str | None = None  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>-seed<seed>
-    resume: bool = False  # [ours] continue the run in that folder; --iterations may be raised, nothing else changed
+    resume: bool = False  # [ours] continue the run in the folder; only --iterations can be changed, and only raised
     threads: int | None = None  # [ours] threads that step the physics; by default one for every core
     checkpoint_every: int = 50  # [ours] iterations between two checkpoints
 
@@ -45,18 +45,18 @@ def describe(config):
 
 
 def kind_of(field):
-    """How argparse reads a field of a config dataclass, by its annotation; "none" is None where that is allowed."""
+    """Arguments of argparse for a field, by its annotation. Where that allows None, the word none stands for it."""
     if field.type is bool:
         return dict(action=argparse.BooleanOptionalAction)
     if field.type is tuple:
         return dict(nargs="+", type=type(field.default[0]))
-    if not (kinds := get_args(field.type)):  # of `float | None`: both
+    if not (kinds := get_args(field.type)):  # for `float | None` these are float and NoneType
         return dict(type=field.type)
 
     def read(text):
         return None if text == "none" else kinds[0](text)
 
-    read.__name__ = kinds[0].__name__  # which argparse names where it cannot read
+    read.__name__ = kinds[0].__name__  # argparse names it when it cannot read a value
     return dict(type=read)
 
 
@@ -80,13 +80,13 @@ def parse(argv):
 
 
 def settle(given_env, given_learner):
-    """Defaults, then what the paper sets for the task, then what was given: tasks.Config and eipo.Config."""
+    """tasks.Config and eipo.Config: defaults, overruled by the task's own values, overruled by what was given."""
     env_cfg = tasks.task_config(**given_env)
     return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
 
 def settle_resumed(folder, given_env, given_learner):
-    """The Configs of the run in folder, with --iterations raised if that was given."""
+    """The Configs of the run in folder, with iterations raised if that was given. ValueError for other changes."""
     env_cfg, cfg = run_folder.load_config(folder)
     for name, x in (given_env | given_learner).items():
         was = (asdict(env_cfg) | asdict(cfg))[name]
@@ -100,7 +100,7 @@ def settle_resumed(folder, given_env, given_learner):
 
 
 def run_path(options, env_cfg, cfg):
-    """The run folder: what --out says, or a name that tells the settings."""
+    """The run folder: what --out says, or a name made of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
     return Path(options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}")
 
@@ -124,7 +124,7 @@ def prepare(options, given_env, given_learner):
 
 
 def save(folder, state, envs, params):
-    """A checkpoint, and what a reader of the run folder wants to see beside it; params: of pi as plain MLPs."""
+    """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
     run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
     run_folder.draw_curves(folder)
@@ -133,7 +133,7 @@ def save(folder, state, envs, params):
 
 
 def report(row, iterations):
-    """Print what matters of a row of metrics.csv: a line that rewrites itself, or one in a hundred if none can."""
+    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for one row in 100."""
     iteration, rate = row["iteration"], row["steps_per_s"]
     left = (iterations - iteration) * row["steps"] / iteration / max(rate, 0.1) / 60
     line = (
@@ -148,13 +148,13 @@ def report(row, iterations):
 
 
 def train(folder, env_cfg, cfg, options, argv, asked):
-    """Run Algorithm 1 from the folder's checkpoint, if it has one, until its end or until a stop is asked for."""
+    """Train from the start or the checkpoint to the end, or until `asked` is not empty; returns the last iteration."""
     policies = 2 if cfg.algo == "eipo" else 1
     envs = [go1_env.Go1Env(cfg.num_envs // policies, env_cfg, options.threads) for _ in range(policies)]
     if policies == 2:
-        envs[1].state.weights = envs[0].state.weights  # one curriculum, or J(pi), J(pi') would be of other commands
+        envs[1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
     env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
-    state = eipo.init_state(env, env_prime, cfg)  # also the template of a saved one
+    state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
     if options.resume:
         state = run_folder.load_checkpoint(folder / "checkpoint.npz", state, envs)
     log = run_folder.Log(folder, state.iteration)
@@ -172,7 +172,7 @@ def train(folder, env_cfg, cfg, options, argv, asked):
 
 @contextmanager
 def stop_at_boundary():
-    """Yields a list that is empty until Ctrl-C or SIGTERM asks for a stop; a second Ctrl-C does not wait."""
+    """Yields a list that is empty until Ctrl-C or SIGTERM asks for a stop. After that, Ctrl-C stops at once."""
     asked = []
 
     def ask(number, frame):

@@ -22,7 +22,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 if __name__ == "__main__":
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+    sys.path.insert(0, str(ROOT))
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import eipo
@@ -58,7 +58,7 @@ def rerun(code, scope):
 
 def run_page():
     """The page with all its python blocks run in order in one namespace, in the root of the repository."""
-    scope, before = {"__name__": "tutorial"}, list(sys.path)
+    scope = {"__name__": "tutorial"}
 
     def replace(match):
         kind, content = match.groups()
@@ -67,10 +67,7 @@ def run_page():
         return f"```python\n{rerun(content, scope)}```"
 
     with contextlib.chdir(ROOT):
-        try:
-            return BLOCK.sub(replace, PAGE.read_text())
-        finally:
-            sys.path[:] = before
+        return BLOCK.sub(replace, PAGE.read_text())
 
 
 def alike(shown, printed):

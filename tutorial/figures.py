@@ -78,31 +78,32 @@ def alpha(c):
     return figure
 
 
-def watt(c):
-    """What Eq. (9) counts for one joint, over its torque, at two speeds."""
-    figure, axes = panels(2)
-    for a, speed, title in ((axes[0], "down", "joint turns at -10 rad/s"), (axes[1], "up", "joint turns at +10 rad/s")):
-        a.plot(c["torque"], c["torque"] * (-10 if speed == "down" else 10), color=GREY, linestyle=":", label="true")
-        a.plot(c["torque"], c["printed_" + speed], color=RED, label="torque clipped, as printed")
-        a.plot(c["torque"], c["power_" + speed], color=BLUE, linestyle="--", label="power clipped")
-        a.set(title=title, xlabel="torque [N m]")
-    axes[0].set_ylabel("mechanical power [W]")
-    axes[1].legend(frameon=False, loc="upper left")
+def reward(c):
+    """The four task rewards over the forward velocity, for a command of 0.5 m/s."""
+    figure, (axes,) = panels(1)
+    names = dict(flat=("Eq. 5, flat", BLUE), rough=("Eq. 6, rough", ORANGE), curriculum=("Eq. 8, curriculum", GREEN),
+                 max_velocity=("Eq. 7, velocity", RED))  # fmt: skip
+    for key, (label, colour) in names.items():
+        axes.plot(c["v_x"], c[key], color=colour, label=label)
+    axes.axvline(0.5, color=GREY, linestyle=":")
+    axes.text(0.52, 0.02, "command", color=GREY)
+    axes.set(xlabel="v_x [m/s]", ylabel="reward per step", ylim=(-0.55, 2.05))
+    axes.legend(frameon=False, loc="lower right")
     return figure
 
 
 def ground(c):
-    """A tile of Perlin noise from above and along one line, at the paper's two roughnesses."""
+    """A tile of Perlin noise from above and along one line, as the rough task and as the velocity task have it."""
     heights = np.stack([c[key] for key in c if key.startswith("row")]) * 100
     figure = Figure(figsize=(8, 3.1), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.4))
     image = left.imshow(heights, origin="lower", extent=(0, 4, 0, 4), cmap="cividis")
     figure.colorbar(image, label="height [cm]")
-    left.axhline(2, color="white", linestyle=":")
-    left.set(title="a tile, 15 cm rough", xlabel="x [m]", ylabel="y [m]")
-    for key, colour, label in (("rough", BLUE, "15 cm"), ("less", ORANGE, "5 cm")):
+    left.axhline(2.6, color="white", linestyle=":")
+    left.set(title="a tile of the rough task", xlabel="x [m]", ylabel="y [m]")
+    for key, colour, label in (("rough", BLUE, "15 cm, 1 cell/m"), ("less", ORANGE, "5 cm, 4 cells/m")):
         right.plot(c["x"], c[key] * 100, color=colour, label=label)
-    right.set(title="along the dotted line", xlabel="x [m]", ylabel="height [cm]", ylim=(-6, 8))
+    right.set(title="along the dotted line", xlabel="x [m]", ylabel="height [cm]", ylim=(-8, 10))
     right.grid(alpha=0.3)
     right.spines[["top", "right"]].set_visible(False)
     right.legend(frameon=False, loc="upper center", ncols=2)
@@ -120,32 +121,6 @@ def robot(c):
     right.plot(c["speed"], c["calf"], color=ORANGE, label="calf")
     right.set(title="largest torque", xlabel="joint speed [rad/s]", ylabel="[N m]")
     right.legend(frameon=False)
-    return figure
-
-
-def reward(c):
-    """The four task rewards over the forward velocity, for a command of 0.5 m/s."""
-    figure, (axes,) = panels(1)
-    names = dict(flat=("Eq. 5, flat", BLUE), rough=("Eq. 6, rough", ORANGE), curriculum=("Eq. 8, curriculum", GREEN),
-                 max_velocity=("Eq. 7, velocity", RED))  # fmt: skip
-    for key, (label, colour) in names.items():
-        axes.plot(c["v_x"], c[key], color=colour, label=label)
-    axes.axvline(0.5, color=GREY, linestyle=":")
-    axes.text(0.52, 0.02, "command", color=GREY)
-    axes.set(xlabel="v_x [m/s]", ylabel="reward per step", ylim=(-0.55, 2.05))
-    axes.legend(frameon=False, loc="lower right")
-    return figure
-
-
-def clip(c):
-    """PPO's objective over the probability ratio, for a good and for a bad action."""
-    figure, axes = panels(2, 2.6)
-    for a, key, title in ((axes[0], "good", "good action, A = +1"), (axes[1], "bad", "bad action, A = -1")):
-        a.plot(c["ratio"], c["ratio"] * (1 if key == "good" else -1), color=GREY, linestyle=":", label="without clip")
-        a.plot(c["ratio"], c[key], color=BLUE, label="objective")
-        a.plot(1, 1 if key == "good" else -1, "o", color=RED)
-        a.set(title=title, xlabel="ratio")
-    axes[0].legend(frameon=False, loc="upper left")
     return figure
 
 
@@ -172,4 +147,4 @@ def go1(c):
     return figure
 
 
-FIGURES = {f.__name__: f for f in (trap, alpha, watt, ground, robot, reward, clip, go1)}
+FIGURES = {f.__name__: f for f in (trap, alpha, reward, ground, robot, go1)}
