@@ -111,6 +111,9 @@ def same_bits(a, b):
 
 # ---- run folders and commands ----
 
+ROOT = go1.MODEL.parent  # of the repository
+TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estimator", "8", "--history", "2"]
+
 
 def make_run(folder, task="flat", action=None, **learner):
     """A run folder with an untrained policy; action: what it answers to everything, if not what it likes; its path."""

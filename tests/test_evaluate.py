@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
-from support import DAMAGES, LAMBDAS, error_of, make_run
+from support import DAMAGES, LAMBDAS, ROOT, TINY, error_of, make_run
 
 import eipo
 import evaluate
@@ -24,11 +24,8 @@ import run_folder
 import tasks
 import train
 
-ROOT = Path(train.__file__).parent
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 ASKED = ["0", "0.1", "0.2", "0.3", "0.4", "0.5", "0.6", "0.7", "0.8", "0.9", "1"]
-TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estimator", "8", "--history", "2",
-        "--iterations", "2", "--threads", "1"]  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -507,7 +504,8 @@ def test_flags_that_train_does_not_know_are_one_line(capsys):
 @pytest.mark.skipif(not shutil.which("xargs"), reason="needs xargs")
 def test_a_sweep_trains_as_the_readme_says(sweep):
     """EIPO and PPO(0.005) of Fig. 2, two at a time as in README; then seven of nine commands are left."""
-    lines = sweep("fig2", *TINY)
+    flags = [*TINY, "--iterations", 2, "--threads", 1]
+    lines = sweep("fig2", *flags)
     Path("train.py").symlink_to(ROOT / "train.py")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run("xargs -P 2 -I CMD sh -c CMD", shell=True, input=f"{lines[0]}\n{lines[3]}\n", text=True,
@@ -516,4 +514,4 @@ def test_a_sweep_trains_as_the_readme_says(sweep):
     names = ["flat-eipo-lam0.005-seed0", "flat-ppo-lam0.005-seed0"]
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
-    assert sweep("fig2", *TINY) == [lines[1], lines[2], *lines[4:]]
+    assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
 
 import glfw
 import jax
@@ -17,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import DAMAGES, error_of, make_run
+from support import DAMAGES, ROOT, error_of, make_run
 
 import go1
 import go1_env
@@ -26,9 +25,7 @@ import play
 import run_folder
 import tasks
 import terrain
-import train
 
-ROOT = Path(train.__file__).parent
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
 if play.HEADLESS:  # it has set this for itself; processes that other tests start must not inherit it
     os.environ.pop("MUJOCO_GL", None)

@@ -6,25 +6,22 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from support import DAMAGES, contents, error_of
+from support import DAMAGES, ROOT, TINY, contents, error_of
 
 import evaluate
 import measure
 import run_folder
 import train
 
-ROOT = Path(train.__file__).parent
-TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estimator", "8", "--history", "2",
-        "--checkpoint-every", "4"]  # fmt: skip
+FLAGS = [*TINY, "--checkpoint-every", "4"]
 
 
 def run(*flags):
     """Train in this process, two iterations unless told otherwise."""
-    assert train.main([*TINY, "--iterations", "2", *map(str, flags)]) == 0
+    assert train.main([*FLAGS, "--iterations", "2", *map(str, flags)]) == 0
 
 
 def resume(folder, *flags):
@@ -48,7 +45,7 @@ def finished(tmp_path_factory):
 
 def start_and_wait(folder, iterations=20, until=5):
     """Start the same run as a process of its own; returns it when metrics.csv holds `until` iterations."""
-    flags = [*TINY, "--iterations", str(iterations), "--out", str(folder)]
+    flags = [*FLAGS, "--iterations", str(iterations), "--out", str(folder)]
     process = subprocess.Popen([sys.executable, ROOT / "train.py", *flags], stdout=subprocess.PIPE, text=True)
     metrics = folder / "metrics.csv"
     while not metrics.exists() or metrics.read_text().count("\n") < until + 1:
@@ -59,7 +56,7 @@ def start_and_wait(folder, iterations=20, until=5):
 
 def test_two_iterations_fill_the_run_folder(tmp_path):
     """`python train.py` from another folder, as a user would: every promised file is there and says what it should."""
-    command = [sys.executable, ROOT / "train.py", *TINY, "--task", "flat", "--iterations", "2", "--out", "mine"]
+    command = [sys.executable, ROOT / "train.py", *FLAGS, "--task", "flat", "--iterations", "2", "--out", "mine"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert set(contents(tmp_path / "mine")) == {
