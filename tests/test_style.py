@@ -56,6 +56,7 @@ def test_imports_go_one_way(module):
     assert imported - set(sys.stdlib_module_names) <= LAYERS[module] | set(above)
     if module in ("networks", "eipo"):  # they know nothing of robots or files, nor through each other
         assert imported & set(LAYERS) == {"networks"} - {module}
+        assert not imported & {"os", "pathlib", "json"}
 
 
 @pytest.mark.parametrize("module", MODULES)
