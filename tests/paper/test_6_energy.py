@@ -1,12 +1,17 @@
 """Section IV-B: Eqs. (9) and (11) by hand, what is clipped (D3), gear ratios (D4), and work as physics has it (D17)."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
-from support import NOMINAL
+from support import NOMINAL, ROOT
 
 import energy
 import go1
+import go1_env
+import measure
+import run_folder
 
 
 def joints(*values):
@@ -125,20 +130,39 @@ def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
     assert (mean, before) == pytest.approx((0.5, 0.48), abs=1e-12)
 
 
-def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground():
-    """One second of the robot on its feet under random targets: motors = kinetic + potential energy + contacts.
+def random_targets():
+    """The nominal pose at rest, and random joint targets for fifty control steps."""
+    rng = np.random.default_rng(0)
+    return np.array([0, 0, 0.32, 1, 0, 0, 0, *NOMINAL]), np.zeros(18), NOMINAL + 0.3 * rng.normal(size=(50, 12))
 
-    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step it is 10 % off.
+
+def policy_targets():
+    """The shipped policy of flat ground, asked for 1 m/s: where it is after a second, and its targets in the next."""
+    params, env_cfg = run_folder.load_policy(ROOT / "results" / "flat" / "seed0" / "policy.npz")
+    as_in_the_model = dict(friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0, stagger=False)
+    env, policy = go1_env.Go1Env(1, replace(env_cfg, **as_in_the_model), 1), measure.deterministic(params)
+    (obs, _), targets = env.reset(0, [1.0, 0.0, 0.0]), []
+    for t in range(100):
+        if t == 50:
+            qpos, qvel = env.qpos[0].copy(), env.qvel[0].copy()
+        obs, *_ = env.step(policy(obs))
+        targets.append(NOMINAL + go1_env.ACTION_SCALE * env.state.action[0])
+    return qpos, qvel, targets[50:]
+
+
+@pytest.mark.parametrize("motion", [random_targets, policy_targets])
+def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground(motion):
+    """Over one second on its feet: motors = kinetic + potential energy + contacts. No joint is damped.
+
+    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a third or more is gone.
     """
     model = go1.build_model(0.005, None)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    robot, rng = mujoco.MjData(model), np.random.default_rng(0)
-    robot.qpos[2], robot.qpos[3:7], robot.qpos[7:] = 0.32, (1, 0, 0, 0), NOMINAL
+    robot, work, ground, before = mujoco.MjData(model), 0.0, 0.0, 0.0
+    robot.qpos[:], robot.qvel[:], targets = motion()
     mujoco.mj_forward(model, robot)
-    start, work, ground, before = robot.energy.sum(), 0.0, 0.0, 0.0
-    for t in range(200):
-        if t % 4 == 0:
-            target = NOMINAL + rng.normal(size=12) * 0.3
+    start = robot.energy.sum()
+    for target in np.repeat(targets, 4, 0):
         qvel = robot.qvel.copy()
         robot.ctrl[:] = 20 * (target - robot.qpos[7:]) - 0.5 * robot.qvel[6:]
         mujoco.mj_step(model, robot)
@@ -149,4 +173,4 @@ def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground():
     mujoco.mj_forward(model, robot)
     assert model.dof_damping.max() == 0 and ground < -1  # J: nothing but the ground takes energy
     assert work + ground == pytest.approx(robot.energy.sum() - start, abs=0.02 * work)
-    assert before < 0.9 * work
+    assert before < 0.7 * work
