@@ -154,7 +154,7 @@ def policy_targets():
 def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground(motion):
     """Over one second on its feet: motors = kinetic + potential energy + contacts. No joint is damped.
 
-    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a third or more is gone.
+    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a third is gone.
     """
     model = go1.build_model(0.005, None)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
