@@ -2,7 +2,7 @@
 
 Every field of three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. The files
 of a run folder are listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on from its last
-checkpoint with --resume and ends with the same bits as one that was never stopped.
+checkpoint with --resume. On the same number of cores it ends with the same bits as one that was never stopped.
 """
 
 import argparse
