@@ -72,9 +72,8 @@ def by_label(folders, task):
 
 def play(folder, task, commands, each, args):
     """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35)."""
-    roughness, asked = ROUGHNESS.get(task) if args.roughness is None else args.roughness, np.repeat(commands, each, 0)
-    loaded = (measure.load(folder, len(asked), args.clip, roughness, nominal) for nominal in (False, True))
-    return [measure.run_episodes(*policy_env, asked) for policy_env in loaded]
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+    return [measure.episodes(folder, commands, each, args.clip, roughness, nominal) for nominal in (False, True)]
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
