@@ -144,7 +144,7 @@ def pack(table):
 
 
 def unpack(file):
-    """The table in a file that `pack` made, without rows if there is no such file or it is damaged or of old columns."""
+    """The table in a file that `pack` made, empty if the file is missing, damaged or of other columns."""
     columns = (*ASKED, *Episodes._fields)
     try:
         with gzip.open(file, "rt") as text:
