@@ -156,7 +156,10 @@ def repeat_arithmetic(threads):
     if threads and now != threads:
         say(f"{name} is {now} but was {threads} when this run began: last digits will differ", sys.stderr)
     elif threads and now != cores:
-        say(f"JAX keeps the {now} threads of this run, for the same bits; {name}={cores} uses each core", sys.stderr)
+        say(
+            f"JAX keeps the {now} threads of this run, for the same bits; {name}={cores} is one for each core",
+            sys.stderr,
+        )
 
 
 def save(folder, state, envs, cfg, params):
