@@ -44,7 +44,7 @@ except ImportError:
     fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
 
 EPISODES = "episodes.csv.gz"
-JAX_THREADS = "PJRT_NPROC"  # environment variable: JAX's threads on a CPU, which the last digit of a product depends on
+JAX_THREADS = "PJRT_NPROC"  # environment variable from which JAX takes its number of threads on a CPU
 
 
 def stamp(folder):
@@ -89,10 +89,12 @@ def lock(folder):
 def running(folder):
     """Whether a process is training in the folder."""
     try:
-        with lock(folder):
-            return False
-    except (ValueError, FileNotFoundError) as error:
+        if (folder / "lock").exists():
+            with lock(folder):
+                pass
+    except (ValueError, OSError) as error:
         return isinstance(error, ValueError)
+    return False
 
 
 def save_config(folder, env_cfg, cfg, command, resume=False):
@@ -157,7 +159,11 @@ def check_settings(folder, env_cfg, cfg):
 
     Raises ValueError if the Configs, which are those of config.json, are not those with which it was trained.
     """
-    trained = json.loads(str(read_npz(folder / "checkpoint.npz").get("settings", "{}")))
+    path = folder / "checkpoint.npz"
+    try:
+        trained = json.loads(str(read_npz(path).get("settings", "{}")))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
     for part, config in (("env", env_cfg), ("learner", cfg)):
         for name, was in tuples(trained.get(part, {})).items():
             if name != "iterations" and (x := getattr(config, name)) != was:  # --resume may raise iterations
@@ -239,7 +245,7 @@ class Log:
         self.path, self.done, self.start, self.names = folder / "metrics.csv", done, time.monotonic(), None
         rows = whole_rows(self.path) if done and self.path.exists() else []
         self.kept = list({row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values())
-        if missing := done - len(self.kept):
+        if (missing := done - len(self.kept)) > 0:
             print(f"{self.path} lacks {missing} of {done} rows: the run goes on without them", file=sys.stderr)
 
     def row(self, iteration, metrics):

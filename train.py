@@ -31,7 +31,7 @@ def say(text, file=None, end="\n"):
 
 def stop_at_once(why):
     """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or crash in them."""
-    say(f"\nStopped at once: {why}", sys.stderr)
+    say("\n" * sys.stderr.isatty() + f"Stopped at once: {why}", sys.stderr)
     os._exit(130)
 
 
@@ -148,7 +148,7 @@ def prepare(options, given_env, given_learner):
 def repeat_arithmetic(threads):
     """Make JAX compute the same bits again: in float32, with as many threads as before (None: one for every core).
 
-    The last digit of its matrix products depends on the number of its threads, whatever the number of cores.
+    The last digit of a matrix product depends on the number of JAX's threads, whatever the number of cores.
     """
     jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
     name, cores = run_folder.JAX_THREADS, str(go1_env.cores())
@@ -156,10 +156,7 @@ def repeat_arithmetic(threads):
     if threads and now != threads:
         say(f"{name} is {now} but was {threads} when this run began: last digits will differ", sys.stderr)
     elif threads and now != cores:
-        say(
-            f"JAX keeps the {now} threads of this run, for the same bits; {name}={cores} is one for each core",
-            sys.stderr,
-        )
+        say(f"JAX keeps its {now} threads, for the same bits; {name}={cores} is one for each core", sys.stderr)
 
 
 def save(folder, state, envs, cfg, params):

@@ -143,7 +143,7 @@ def test_ctrl_c_while_jax_compiles_ends_in_one_line(tmp_path):
     assert "Compiling" in process.stdout.readline()
     process.send_signal(signal.SIGINT)
     said = process.communicate()
-    assert (process.returncode, *said) == (130, "", "\nStopped at once: there is no checkpoint\n")
+    assert (process.returncode, *said) == (130, "", "Stopped at once: there is no checkpoint\n")
     assert set(contents(tmp_path / "run")) == {"config.json", "lock"}
 
 
@@ -152,7 +152,7 @@ def test_ctrl_c_while_python_imports_ends_in_one_line(tmp_path):
     (tmp_path / "jax.py").write_text("import os, signal\nfor _ in range(2): os.kill(os.getpid(), signal.SIGINT)\n")
     process = start(*FLAGS, "--out", tmp_path / "run", PYTHONPATH=str(tmp_path))
     said = process.communicate()
-    assert (process.returncode, *said) == (130, "", "\nStopped at once: no training was under way\n")
+    assert (process.returncode, *said) == (130, "", "Stopped at once: no training was under way\n")
 
 
 def wait_for(condition):
