@@ -189,6 +189,27 @@ def test_table1_by_hand(runs, scripted, unsaved):
     assert (row["peak"], row["peak_sustained"], row["paper"], row["episodes"]) == (3.75, 4.0, 2.86, 8)
 
 
+def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved, tmp_path):
+    """EIPO with 2N robots gives each policy as many as PPO with N has. The paper's number stands beside both."""
+    more = make_run(tmp_path / "more", "velocity", num_envs=512)
+    run("table1", more, runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, _),) = unsaved
+    assert [(row["run"], row["paper"]) for row in rows] == [
+        ("EIPO, 256 robots", 2.86), ("EIPO, 512 robots", 2.86), ("PPO(0.01)", 1.45)]  # fmt: skip
+
+
+def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
+    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's area is 20 + 250."""
+    run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, figure),) = unsaved
+    assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
+        ("EIPO", 3.75, 3.75),
+        ("PPO(0.01)",) + (3.75,) * 2,
+    ]
+    points = figure.axes[0].collections
+    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(3.75, 3.75, 270)] * 2
+
+
 def test_fig6_by_hand(runs, monkeypatch):
     """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two strides of 17.
 
