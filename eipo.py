@@ -190,7 +190,7 @@ def sound(state, cfg):
         raise ValueError(f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}")
     for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
         if learner and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches:
-            raise ValueError(f"no gradient of {name} was finite for {GIVE_UP} iterations: are its rewards and costs?")
+            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and costs finite?")
     return state
 
 

@@ -462,12 +462,12 @@ def test_what_the_shaped_reward_sees_of_the_trunk():
 
 
 def test_what_the_shaped_reward_sees_of_joints_and_actions():
-    """Speeds rise from 1/2 to 1 rad/s and actions from 1 to 4 in a step of 20 ms: 25 rad/s^2, and a change of 3."""
+    """Speeds rise from 1/4 to 1 rad/s and actions from 1 to 4 in a step of 20 ms: 37.5 rad/s^2, and a change of 3."""
     env = make(reward="shaped")
     place(env, q=NOMINAL + 0.125, qd=1.0)
     env.state.action[:], env.ctrl[:] = 4.0, 7.0
-    seen = seen_by_the_shaped_reward(env, action=1.0, qd=0.5)
-    assert seen.qdd == pytest.approx(np.full((2, 12), 25.0)) and (seen.action_change == 3).all()
+    seen = seen_by_the_shaped_reward(env, action=1.0, qd=0.25)
+    assert seen.qdd == pytest.approx(np.full((2, 12), 37.5)) and (seen.action_change == 3).all()
     assert (seen.torque == 7).all() and (seen.q == NOMINAL + 0.125).all()
     assert seen.joint_range.tolist() == [[-0.863, -0.686, -2.818] * 4, [0.863, 4.501, -0.888] * 4]
 

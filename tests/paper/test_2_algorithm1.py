@@ -315,7 +315,7 @@ def test_algorithm1_ends_when_nothing_was_learned_for_ten_iterations(culprit):
     """
     envs = Faulty("reward", np.nan, always=True), Probe(near_half, effort)
     seen = []
-    with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite for 10 iterations: [^\n]+$"):
+    with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iterations: [^\n]+$"):
         seen.extend(eipo.eipo(*(envs if culprit == "pi" else envs[::-1]), EIPO))
     assert [state.iteration for state, _ in seen] == list(range(1, 10))
     (first, _), (last, log) = seen[0], seen[-1]
