@@ -58,6 +58,7 @@ class Options:
 
 
 CONFIGS = (Options, tasks.Config, eipo.Config)
+FAULTS = ("dropped", "skipped", "prime_dropped", "prime_skipped", "ended_diverged")  # shown only if they are not 0
 
 
 # ---- settings ----
@@ -126,6 +127,8 @@ def settle_resumed(folder, given_env, given_learner):
 def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name made of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
+    usual = settle(dict(task=env_cfg.task), {})[1].num_envs
+    variant += f"-{cfg.num_envs}envs" if cfg.num_envs != usual else ""
     return Path(options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}")
 
 
@@ -183,6 +186,7 @@ def report(row, first, iterations):
         f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {row['reward']:.2f}  "
         f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
         + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
+        + "".join(f"  {name} {row[name]:.0f}" for name in FAULTS if row.get(name))
     )
     if sys.stdout.isatty():
         say(f"\r{line}\x1b[K", end="")
@@ -257,9 +261,8 @@ def stop_at_boundary(folder):
 
 def command_line(argv):
     """The words that started this process, with the flags that train.py got: those of a script that wraps it, too."""
-    if set(argv) <= set(sys.orig_argv):
-        return sys.orig_argv
-    return sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1] + argv
+    typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
+    return typed if set(argv) <= set(typed) else typed[: len(typed) - len(sys.argv) + 1] + argv
 
 
 def main(argv):

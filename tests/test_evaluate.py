@@ -189,6 +189,27 @@ def test_table1_by_hand(runs, scripted, unsaved):
     assert (row["peak"], row["peak_sustained"], row["paper"], row["episodes"]) == (3.75, 4.0, 2.86, 8)
 
 
+def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved, tmp_path):
+    """EIPO with 2N robots gives each policy as many as PPO with N has. The paper's number stands beside both."""
+    more = make_run(tmp_path / "more", "velocity", num_envs=512)
+    run("table1", more, runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, _),) = unsaved
+    assert [(row["run"], row["paper"]) for row in rows] == [
+        ("EIPO, 256 robots", 2.86), ("EIPO, 512 robots", 2.86), ("PPO(0.01)", 1.45)]  # fmt: skip
+
+
+def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
+    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's area is 20 + 250."""
+    run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, figure),) = unsaved
+    assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
+        ("EIPO", 3.75, 3.75),
+        ("PPO(0.01)",) + (3.75,) * 2,
+    ]
+    points = figure.axes[0].collections
+    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(3.75, 3.75, 270)] * 2
+
+
 def test_fig6_by_hand(runs, monkeypatch):
     """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two strides of 17.
 
@@ -497,11 +518,16 @@ def kinds(lines):
 PPO = [("ppo", lam) for lam in LAMBDAS]
 
 
-def test_table1_takes_thirty_runs(sweep):
-    """Three seeds x (EIPO and the nine lambdas of Eq. (10)), a folder for each; EIPO begins at V-D's lambda 0.0002."""
+def test_table1_takes_thirty_three_runs(sweep, capsys):
+    """Three seeds x (EIPO twice and the nine lambdas of Eq. (10)), a folder for each. EIPO's lambda_0 is V-D's 0.0002.
+
+    One EIPO has as many robots as PPO, 128, and one as many per policy, 256.
+    """
     lines = sweep("table1")
-    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002), *PPO] for seed in range(3)]
-    assert len({settled(line)[2] for line in lines}) == len(lines) == 30
+    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002)] * 2 + PPO for seed in range(3)]
+    assert [settled(line)[1].num_envs for line in lines] == [128] * 3 + [256] * 3 + [128] * 27
+    assert len({settled(line)[2] for line in lines}) == len(lines) == 33
+    assert "--num-envs" in error_of(capsys, evaluate.main, "--commands", "table1", "--num-envs", "64")
     assert not any("--resume" in line for line in lines)
 
 
@@ -546,6 +572,22 @@ def test_runs_that_are_running_are_left_out(sweep, checkpoint):
     with run_folder.lock(folder):
         assert sweep("fig6") == every[1:]
     assert len(sweep("fig6")) == len(every)
+
+
+def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
+    """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
+    monkeypatch.setattr(evaluate, "RESULTS", tmp_path / "results")
+    every = sweep("fig6", "--iterations", 4)
+    folder = fake_run(every[0], 4)
+    (folder / "metrics.csv").write_text("iteration\n2\n4\n")
+    (folder / "checkpoint.npz").unlink()
+    kept = tmp_path / "results" / "velocity" / folder.name
+    kept.parent.mkdir(parents=True)
+    folder.rename(kept)
+    assert sweep("fig6", "--iterations", 4) == every[1:]
+    assert len(sweep("fig6", "--iterations", 5)) == len(sweep("fig6", "--iterations", 4, "--noise", 0)) == 6
+    (kept / "metrics.csv").write_text("iteration\n2\n")
+    assert len(sweep("fig6", "--iterations", 4)) == 6
 
 
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):
@@ -606,7 +648,7 @@ def test_a_sweep_trains_as_the_readme_says(sweep):
     done = subprocess.run("xargs -P 2 -I CMD sh -c CMD", shell=True, input=f"{lines[0]}\n{lines[3]}\n", text=True,
                           env=os.environ | dict(PATH=path), capture_output=True)  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    names = ["flat-eipo-lam0.005-seed0", "flat-ppo-lam0.005-seed0"]
+    names = ["flat-eipo-lam0.005-4envs-seed0", "flat-ppo-lam0.005-4envs-seed0"]
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
     assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]
