@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import gzip
 import os
 import shlex
 import shutil
@@ -35,8 +36,16 @@ def short_episodes_elsewhere(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def runs(all_runs):
+    """The folders of `all_runs`, which nobody has evaluated yet."""
+    for folder in all_runs.values():
+        (folder / run_folder.EPISODES).unlink(missing_ok=True)
+    return all_runs
+
+
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def all_runs(tmp_path_factory):
     """Run folders by task and name; those of PPO come first, and not in order, so that evaluate.py has to sort."""
     base, ppo = tmp_path_factory.mktemp("runs"), dict(algo="ppo")
     kinds = dict(flat_ppo=("flat", ppo), flat_ppo_0=("flat", ppo | dict(lam=0.0)), flat=("flat", {}),
@@ -180,6 +189,27 @@ def test_table1_by_hand(runs, scripted, unsaved):
     assert (row["peak"], row["peak_sustained"], row["paper"], row["episodes"]) == (3.75, 4.0, 2.86, 8)
 
 
+def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved, tmp_path):
+    """EIPO with 2N robots gives each policy as many as PPO with N has. The paper's number stands beside both."""
+    more = make_run(tmp_path / "more", "velocity", num_envs=512)
+    run("table1", more, runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, _),) = unsaved
+    assert [(row["run"], row["paper"]) for row in rows] == [
+        ("EIPO, 256 robots", 2.86), ("EIPO, 512 robots", 2.86), ("PPO(0.01)", 1.45)]  # fmt: skip
+
+
+def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
+    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's area is 20 + 250."""
+    run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, figure),) = unsaved
+    assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
+        ("EIPO", 3.75, 3.75),
+        ("PPO(0.01)",) + (3.75,) * 2,
+    ]
+    points = figure.axes[0].collections
+    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(3.75, 3.75, 270)] * 2
+
+
 def test_fig6_by_hand(runs, monkeypatch):
     """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two strides of 17.
 
@@ -274,6 +304,83 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch):
     assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 22)
     assert (env.env_cfg.start_spread, nominal.env_cfg.start_spread) == (0.5, 0.0)
     assert np.ptp(env.ground[:, : env.ground.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
+
+
+# ---- episodes are played once ----
+
+
+@pytest.fixture
+def played(monkeypatch):
+    """Instead of episodes: every column of the k-th episode ever played is 1000 k + 1 / 3. A list of how many each."""
+    calls = []
+
+    def run_episodes(policy, env, commands):
+        first = sum(calls)
+        calls.append(env.num_envs)
+        return measure.Episodes(*[1000.0 * (first + np.arange(env.num_envs)) + 1 / 3] * len(measure.Episodes._fields))
+
+    monkeypatch.setattr(measure, "run_episodes", run_episodes)
+    return calls
+
+
+TWO = np.array([[0.1 + 0.2, 0.0, 0.0], [1.0, 0.0, 0.5]])  # commands, the first of which is not quite 0.3
+
+
+def test_episodes_are_played_once(runs, played):
+    """Five digits of 1/3, 1000 1/3, 2000 1/3 and 3000 1/3 are kept, and the file needs no policy beside it.
+
+    What was asked in another way (number, commands, clip, roughness, start) is played, and what is known stays known.
+    """
+    folder = runs["flat"]
+    expected = [0.33333, 1000.3, 2000.3, 3000.3]
+    policy = (folder / "policy.npz").read_bytes()
+    for _ in range(2):
+        assert list(measure.episodes(folder, TWO, 2).v_x) == expected
+        (folder / "policy.npz").unlink(missing_ok=True)
+    assert played == [4]
+    (folder / "policy.npz").write_bytes(policy)
+    others = [dict(clip="torque"), dict(roughness=0.1), dict(nominal=True)]
+    for k, other in enumerate(others):
+        assert measure.episodes(folder, TWO, 2, **other).fell[0] == pytest.approx(4000 * (k + 1) + 1 / 3, abs=0.5)
+    assert list(measure.episodes(folder, TWO[:1], 2).peak) == expected[:2]
+    assert list(measure.episodes(folder, TWO, 2).peak) == expected and played == [4] * 4
+    assert len(measure.episodes(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
+
+
+def test_kept_episodes_equal_those_that_were_played(runs):
+    """NaN included: a robot that falls or stands has no speed in the second half or no J/m."""
+    first, again = (measure.episodes(runs["flat"], TWO, 8) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert np.isnan(first.energy).any() and np.isfinite(first.power).all()
+
+
+def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
+    """Also if it is saved while the episodes of the one before are being played."""
+    folder = runs["flat"]
+    kept = folder / run_folder.EPISODES
+    measure.episodes(folder, TWO, 1)
+    run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+    assert not kept.exists()
+    play = measure.run_episodes
+
+    def meanwhile(*arguments):
+        run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+        return play(*arguments)
+
+    monkeypatch.setattr(measure, "run_episodes", meanwhile)
+    assert len(measure.episodes(folder, TWO, 1).v_x) == 2 and not kept.exists()
+
+
+@pytest.mark.parametrize("data", [b"", b"no gzip", measure.pack(np.ones((3, 17)))[:-9], gzip.compress(b"a,b\n1,2\n")])
+def test_damaged_or_older_episodes_are_played_again(runs, played, data):
+    (runs["flat"] / run_folder.EPISODES).write_bytes(data)
+    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2 and played == [2]
+
+
+def test_a_folder_that_cannot_be_written_is_evaluated_all_the_same(runs, played, monkeypatch):
+    monkeypatch.setattr(run_folder, "replace_file", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
+    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2
+    assert not (runs["flat"] / run_folder.EPISODES).exists()
 
 
 # ---- a line for each run ----
@@ -411,11 +518,16 @@ def kinds(lines):
 PPO = [("ppo", lam) for lam in LAMBDAS]
 
 
-def test_table1_takes_thirty_runs(sweep):
-    """Three seeds x (EIPO and the nine lambdas of Eq. (10)), a folder for each; EIPO begins at V-D's lambda 0.0002."""
+def test_table1_takes_thirty_three_runs(sweep, capsys):
+    """Three seeds x (EIPO twice and the nine lambdas of Eq. (10)), a folder for each. EIPO's lambda_0 is V-D's 0.0002.
+
+    One EIPO has as many robots as PPO, 128, and one as many per policy, 256.
+    """
     lines = sweep("table1")
-    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002), *PPO] for seed in range(3)]
-    assert len({settled(line)[2] for line in lines}) == len(lines) == 30
+    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002)] * 2 + PPO for seed in range(3)]
+    assert [settled(line)[1].num_envs for line in lines] == [128] * 3 + [256] * 3 + [128] * 27
+    assert len({settled(line)[2] for line in lines}) == len(lines) == 33
+    assert "--num-envs" in error_of(capsys, evaluate.main, "--commands", "table1", "--num-envs", "64")
     assert not any("--resume" in line for line in lines)
 
 
@@ -453,11 +565,36 @@ def test_finished_runs_are_left_out_and_interrupted_ones_resumed(sweep):
     assert sweep("fig6", "--iterations", 4) == [f"{every[1]} --resume", *every[2:]]
 
 
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_runs_that_are_running_are_left_out(sweep, checkpoint):
+    every = sweep("fig6")
+    folder = fake_run(every[0], 3, checkpoint)
+    with run_folder.lock(folder):
+        assert sweep("fig6") == every[1:]
+    assert len(sweep("fig6")) == len(every)
+
+
+def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
+    """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
+    monkeypatch.setattr(evaluate, "RESULTS", tmp_path / "results")
+    every = sweep("fig6", "--iterations", 4)
+    folder = fake_run(every[0], 4)
+    (folder / "metrics.csv").write_text("iteration\n2\n4\n")
+    (folder / "checkpoint.npz").unlink()
+    kept = tmp_path / "results" / "velocity" / folder.name
+    kept.parent.mkdir(parents=True)
+    folder.rename(kept)
+    assert sweep("fig6", "--iterations", 4) == every[1:]
+    assert len(sweep("fig6", "--iterations", 5)) == len(sweep("fig6", "--iterations", 4, "--noise", 0)) == 6
+    (kept / "metrics.csv").write_text("iteration\n2\n")
+    assert len(sweep("fig6", "--iterations", 4)) == 6
+
+
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):
     """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
     folder = fake_run(sweep("fig2")[-1], 3999)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("iteration\n" + "0\n" * 4000)
+    (folder / "metrics.csv").write_text("iteration\n1\n4000\n")  # rows may be lost
     assert len(sweep("fig2")) == 8
     assert sweep("fig2", "--iterations", 4001)[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
 
@@ -511,7 +648,7 @@ def test_a_sweep_trains_as_the_readme_says(sweep):
     done = subprocess.run("xargs -P 2 -I CMD sh -c CMD", shell=True, input=f"{lines[0]}\n{lines[3]}\n", text=True,
                           env=os.environ | dict(PATH=path), capture_output=True)  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    names = ["flat-eipo-lam0.005-seed0", "flat-ppo-lam0.005-seed0"]
+    names = ["flat-eipo-lam0.005-4envs-seed0", "flat-ppo-lam0.005-4envs-seed0"]
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
     assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]
