@@ -186,6 +186,17 @@ def test_estimate_J_is_the_task_alone():
     assert eipo.estimate_J(Estimate(None, target, None, None)) == 2
 
 
+@pytest.mark.parametrize(("alpha", "lam", "share"), [(6.0, 0.25, 0.75), (4.0, 0.25, 2 / 3), (np.inf, 0.0, 1.0)])
+def test_share_of_the_task_in_the_objective(alpha, lam, share):
+    """A_r = +-1 and lam A_f = +-1/2 with lam = 1/4, so A_f = +-2: 6 / (6 + 2) at alpha = 6, 4 / (4 + 2) at 1 / lam.
+
+    After 3 iterations of 8 steps in 32 environments, 768 steps; J is the mean of 1 and 3.
+    """
+    estimate = Estimate(np.array([[[1.0, 0.5]], [[-1.0, -0.5]]]), np.array([[[1.0, 64.0]], [[3.0, 64.0]]]), None, None)
+    log = eipo.summary(3, estimate, Dual(alpha, 0.0), replace(EIPO, lam=lam))
+    assert log == dict(steps=768, J=2, alpha=alpha, task_share=pytest.approx(share))
+
+
 # ---- L13: the multiplier ----
 
 

@@ -192,11 +192,22 @@ def test_algorithm1_policies_share_no_luck(with_effort):
     assert np.unique(np.round(noise, 4)).size > 0.95 * np.size(noise)
 
 
-def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha():
+def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha(with_effort):
+    """Its metrics are those of EIPO, but for the gap and what is of pi_prime."""
     (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
     assert end.pi_prime is None and end.at_prime is None
     assert start.dual == end.dual == Dual(0.25, 0)
-    assert "gap" not in metrics and not [name for name in metrics if name.startswith("prime_")]
+    assert set(metrics) == {name for name in with_effort[0][2][1] if name != "gap" and not name.startswith("prime_")}
+
+
+def test_algorithm1_ends_after_its_iterations():
+    """Line 14. From two, one and no iterations before the last, EIPO and PPO go through two, one and none."""
+    env, env_prime = Probe(one), Probe(one)
+    start, end = eipo.init_state(env, env_prime, EIPO), EIPO.iterations
+    for left in range(3):
+        state = start._replace(iteration=end - left)
+        for steps in (eipo.eipo(env, env_prime, EIPO, state), eipo.ppo(env, EIPO, state)):
+            assert [state.iteration for state, _ in steps] == list(range(end - left + 1, end + 1))
 
 
 def test_algorithm1_eipo_starts_as_ppo(with_effort):
