@@ -35,16 +35,18 @@ TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1
 HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
 EIPO = ("--algo", "eipo")
 PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
-SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each
+SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each. Table I has
+    # EIPO twice: with as many robots in all as PPO, and with as many per policy
     fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
     fig5=[("curriculum", flags)
           for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
     fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
-    table1=[("velocity", flags) for flags in (EIPO, *PPO.values())])  # fmt: skip
+    table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())])  # fmt: skip
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
+RESULTS = Path(__file__).parent / "results"  # where finished runs are kept, in a folder for each task
 ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
 
 
@@ -372,27 +374,43 @@ def missing_runs(what, flags):
     """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume", *(x for _, own in SWEEPS[what] for x in own)}
     taken = [flag for flag in flags if flag.split("=")[0] in own]
     if taken:
         raise ValueError(f"--commands sets {taken[0]} itself")
     for task, setting in SWEEPS[what]:
         for seed in range(3):
             argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            if (so_far := progress(argv)) != "done":
+            if (so_far := progress(argv)) not in ("running", "done"):
                 yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
 
 
 def progress(argv):
-    """How far the run of these train.py arguments is: "" if it has not begun, "started" or "done"."""
+    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started" or "done".
+
+    A run is also done if `evaluate.py ... --out results/TASK` has kept it there.
+    """
     options, given_env, given_learner = train.parse(argv)
     env_cfg, cfg = train.settle(given_env, given_learner)
     folder = train.run_path(train.Options(**options), env_cfg, cfg)
+    if run_folder.running(folder):
+        return "running"
+    kept = RESULTS / env_cfg.task / folder.name
+    if (
+        (kept / "config.json").exists()
+        and run_folder.load_config(kept) == (env_cfg, cfg)
+        and last(kept) >= cfg.iterations
+    ):
+        return "done"
     if not (folder / "checkpoint.npz").exists():
         return ""
     train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
-    done = len(run_folder.read_metrics(folder).get("iteration", ()))
-    return "done" if done >= cfg.iterations else "started"
+    return "done" if last(folder) >= cfg.iterations else "started"
+
+
+def last(folder):
+    """The last iteration in a run's metrics.csv."""
+    return run_folder.read_metrics(folder).get("iteration", [0])[-1]
 
 
 def main(argv):

@@ -717,11 +717,16 @@ def kinds(lines):
 PPO = [("ppo", lam) for lam in LAMBDAS]
 
 
-def test_table1_takes_thirty_runs(sweep):
-    """Three seeds x (EIPO and the nine lambdas of Eq. (10)), a folder for each; EIPO begins at V-D's lambda 0.0002."""
+def test_table1_takes_thirty_three_runs(sweep, capsys):
+    """Three seeds x (EIPO twice and the nine lambdas of Eq. (10)), a folder for each. EIPO's lambda_0 is V-D's 0.0002.
+
+    One EIPO has as many robots as PPO, 128, and one as many per policy, 256.
+    """
     lines = sweep("table1")
-    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002), *PPO] for seed in range(3)]
-    assert len({settled(line)[2] for line in lines}) == len(lines) == 30
+    assert kinds(lines) == [("velocity", *kind, seed) for kind in [("eipo", 0.0002)] * 2 + PPO for seed in range(3)]
+    assert [settled(line)[1].num_envs for line in lines] == [128] * 3 + [256] * 3 + [128] * 27
+    assert len({settled(line)[2] for line in lines}) == len(lines) == 33
+    assert "--num-envs" in error_of(capsys, evaluate.main, "--commands", "table1", "--num-envs", "64")
     assert not any("--resume" in line for line in lines)
 
 
@@ -759,11 +764,36 @@ def test_finished_runs_are_left_out_and_interrupted_ones_resumed(sweep):
     assert sweep("fig6", "--iterations", 4) == [f"{every[1]} --resume", *every[2:]]
 
 
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_runs_that_are_running_are_left_out(sweep, checkpoint):
+    every = sweep("fig6")
+    folder = fake_run(every[0], 3, checkpoint)
+    with run_folder.lock(folder):
+        assert sweep("fig6") == every[1:]
+    assert len(sweep("fig6")) == len(every)
+
+
+def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
+    """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
+    monkeypatch.setattr(evaluate, "RESULTS", tmp_path / "results")
+    every = sweep("fig6", "--iterations", 4)
+    folder = fake_run(every[0], 4)
+    (folder / "metrics.csv").write_text("iteration\n2\n4\n")
+    (folder / "checkpoint.npz").unlink()
+    kept = tmp_path / "results" / "velocity" / folder.name
+    kept.parent.mkdir(parents=True)
+    folder.rename(kept)
+    assert sweep("fig6", "--iterations", 4) == every[1:]
+    assert len(sweep("fig6", "--iterations", 5)) == len(sweep("fig6", "--iterations", 4, "--noise", 0)) == 6
+    (kept / "metrics.csv").write_text("iteration\n2\n")
+    assert len(sweep("fig6", "--iterations", 4)) == 6
+
+
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):
     """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
     folder = fake_run(sweep("fig2")[-1], 3999)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("iteration\n" + "0\n" * 4000)
+    (folder / "metrics.csv").write_text("iteration\n1\n4000\n")  # rows may be lost
     assert len(sweep("fig2")) == 8
     assert sweep("fig2", "--iterations", 4001)[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
 
@@ -817,7 +847,7 @@ def test_a_sweep_trains_as_the_readme_says(sweep):
     done = subprocess.run("xargs -P 2 -I CMD sh -c CMD", shell=True, input=f"{lines[0]}\n{lines[3]}\n", text=True,
                           env=os.environ | dict(PATH=path), capture_output=True)  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    names = ["flat-eipo-lam0.005-seed0", "flat-ppo-lam0.005-seed0"]
+    names = ["flat-eipo-lam0.005-4envs-seed0", "flat-ppo-lam0.005-4envs-seed0"]
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
     assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]

@@ -30,7 +30,7 @@ LAYERS = {
     "networks": {"numpy", "jax", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
     "run_folder": {"numpy", "jax", "matplotlib"},
-    "train": set(),
+    "train": {"jax"},
     "measure": {"numpy", "jax", "scipy"},
     "evaluate": {"numpy", "matplotlib"},
     "play": {"numpy", "mujoco", "PIL"},
