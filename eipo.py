@@ -12,7 +12,7 @@ An environment is anything that has `reset` and `step` as in `go1_env.py`: this 
 The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -63,14 +63,15 @@ def check(cfg):
     """Raise ValueError, in one line, for a Config that cannot train."""
     policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
     ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
-    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE)
-    for name, x in vars(cfg).items():
-        low, high = ranges.get(name, (int(type(x) is int), 1e9))
+    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE, num_epochs=(1, 1000))
+    for field in fields(cfg):
+        x, (low, high) = getattr(cfg, field.name), ranges.get(field.name, (int(field.type is int), 1e9))
         if type(x) in (int, float) and not low <= x <= high:  # nan as well
-            raise ValueError(f"{name} is {x}: it must be from {low:g} to {high:g}")
+            raise ValueError(f"{field.name} is {x}: it must be from {low:g} to {high:g}")
     for wrong, message in (
         (cfg.algo not in ("eipo", "ppo"), f"unknown algo {cfg.algo!r}: choose eipo or ppo"),
-        (min(widths, default=1) < 1, "hidden layers must have at least 1 unit"),
+        (not all(1 <= n <= 4096 for n in widths) or len(widths) > 8,  # of two policies, with Adam, they take 8 GB
+         f"hidden layers are {cfg.hidden} and {cfg.hidden_estimator}: give at most 8, of 1 to 4096 units"),
         (cfg.mirror and any(n % 2 for n in widths), "a hidden layer of odd width has no halves: or give --no-mirror"),
         (cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1],
          f"lr is {cfg.lr}: with a target_kl it stays in {LR_RANGE[0]} to {LR_RANGE[1]}, give --target-kl 0"),
@@ -79,6 +80,8 @@ def check(cfg):
         (cfg.num_envs % policies, f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even"),
         (cfg.num_steps * cfg.num_envs // policies < cfg.num_minibatches,
          "num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs"),
+        (cfg.num_steps * cfg.num_envs > 2**21,  # a sample takes some kB
+         f"num_steps is {cfg.num_steps} and num_envs {cfg.num_envs}: a rollout has at most {2**21} samples"),
     ):  # fmt: skip
         if wrong:
             raise ValueError(message)

@@ -11,9 +11,11 @@ How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda
 
 import argparse
 import csv
+import io
 import shlex
-import shutil
 import sys
+import time
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -283,30 +285,85 @@ def seeds(folders, args):
 FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, pareto, seeds)}
 
 
+def run_folders(paths):
+    """The run folders among paths. Others are named on stderr. ValueError if one does not exist, or if none is left."""
+    paths, files = [Path(path) for path in paths], ("policy.npz", run_folder.EPISODES)
+    if missing := [str(path) for path in paths if not path.exists()]:
+        raise ValueError(f"{missing[0]} does not exist: give run folders, after one of {', '.join(FIGURES)} if wanted")
+    folders = [x for x in paths if (x / "config.json").exists() and any((x / name).exists() for name in files)]
+    others = ", ".join(str(path) for path in paths if path not in folders)
+    if not folders:
+        raise ValueError(f"nothing to evaluate: there is no run folder with a config.json and a policy.npz in {others}")
+    if others:
+        print(f"evaluate.py: left out, without a config.json or a policy.npz: {others}", file=sys.stderr)
+    return folders
+
+
+@contextmanager
+def show_progress(batches):
+    """Meanwhile a terminal shows how much of so many batches of episodes is played, and how long the rest will take."""
+    start, done, left = time.monotonic(), 0, batches * measure.EPISODE_STEPS
+
+    def watch(played):
+        nonlocal done, left
+        done, left = done + played, left - (1 if played else measure.EPISODE_STEPS)
+        minutes = (time.monotonic() - start) / max(done, 1) * left / 60
+        text = f"{done / (done + left):.0%} played, {minutes:.0f} min left" if left > 0 < done else ""
+        print(f"{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
+
+    measure.watchers[:] = [watch] if sys.stderr.isatty() else []
+    try:
+        yield
+    finally:
+        print("\x1b[K" * len(measure.watchers), end="", file=sys.stderr, flush=True)
+        measure.watchers.clear()
+
+
 def keep_policies(out, folders):
     """Copy the policy of every run to out/NAME/policy.npz, so that play.py can show later what a number stands for."""
-    for folder in map(Path, folders):
-        if (kept := out / folder.name).resolve() != folder.resolve():
+    for folder in folders:
+        policy, kept = folder / "policy.npz", out / folder.name
+        if policy.exists() and kept.resolve() != folder.resolve():
             kept.mkdir(exist_ok=True)
-            shutil.copy(folder / "policy.npz", kept)
+            run_folder.replace_file(kept / "policy.npz", lambda file, policy=policy: file.write(policy.read_bytes()))
 
 
 def save(out, what, rows, figure):
-    """Write what.csv and what.png into the folder out."""
-    with open(out / f"{what}.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows)
-    figure.savefig(out / f"{what}.png", dpi=150)
+    """Write what.csv and what.png into the folder out: both, or if that fails neither."""
+    text, image = io.StringIO(newline=""), io.BytesIO()
+    writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows)
+    figure.savefig(image, dpi=150, format="png")
+
+    def write(file):  # the PNG takes its place once the CSV is written, and before it takes its own
+        file.write(text.getvalue().encode())
+        file.flush()
+        run_folder.replace_file(out / f"{what}.png", lambda png: png.write(image.getvalue()))
+
+    run_folder.replace_file(out / f"{what}.csv", write)
     print(f"{out / what}.csv and .png")
 
 
+def draw(what, folders, args):
+    """Make a figure. Whether it can be written is tried before anything is played."""
+    out = args.out or Path()
+    out.mkdir(parents=True, exist_ok=True)
+    for suffix in ("csv", "png"):
+        run_folder.check_writable(out / f"{what}.{suffix}")
+    save(out, what, *FIGURES[what](folders, args))
+    if args.out:
+        keep_policies(out, folders)
+
+
 def print_table(folders, args):
-    """The `overview` of each run folder as a row of a Markdown table."""
-    for i, folder in enumerate(map(Path, folders)):
+    """The `overview` of each run folder as a row of a Markdown table, with a new head where the columns change."""
+    head = None
+    for folder in folders:
         row = overview(folder, args)
-        if i == 0:
-            print("|", " | ".join(row), "|\n" + "|---" * len(row) + "|")
+        if list(row) != head:
+            head = list(row)
+            print("|", " | ".join(head), "|\n" + "|---" * len(head) + "|")
         print("|", " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()), "|", flush=True)
 
 
@@ -366,29 +423,23 @@ def main(argv):
     parser.add_argument("--out", type=Path, help="folder for PNG, CSV and policies (default: here, without policies)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
-    parser.add_argument(
-        "--roughness", type=float, help="m, of the ground (default: as in training, but 0.15 for rough)"
-    )
+    parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; 0.15 for rough)")
     try:
         if argv[:1] == ["--commands"]:
             print(*missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
             return 0
         args = parser.parse_intermixed_args(argv)
-        if args.episodes < 1:
-            raise ValueError(f"--episodes is {args.episodes}: it must be at least 1")
+        if not 1 <= args.episodes <= 50_000:
+            raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
         if args.commands or not args.runs:
             raise ValueError("give run folders, or a figure and run folders, or --commands first and then a figure")
-        what, *folders = args.runs
-        if what not in FIGURES:
-            print_table(args.runs, args)
-        elif not folders:
+        what, *paths = args.runs if args.runs[0] in FIGURES else ("", *args.runs)
+        if not paths:
             raise ValueError(f"{what} of which runs? Give run folders")
-        else:
-            out = args.out or Path()
-            out.mkdir(parents=True, exist_ok=True)
-            save(out, what, *FIGURES[what](folders, args))
-            if args.out:
-                keep_policies(out, folders)
+        folders, tasks = run_folders(paths), {task for task, _ in SWEEPS.get(what, ())}
+        played = [x for x in folders if not tasks or run_folder.load_config(x)[0].task in tasks]
+        with show_progress(len(played) * (1 if what == "fig6" else 2)):
+            draw(what, folders, args) if what else print_table(folders, args)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

@@ -28,6 +28,7 @@ SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
 
 
+watchers = []  # of progress: called with True after each step that is played, with False for episodes that are known
 ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
 
 
@@ -88,6 +89,8 @@ def steps(policy, env, command=None):
         obs, reward, terminated, truncated, info = env.step(policy(obs))
         yield reward, info["log"], alive, alive & terminated
         alive = alive & ~(terminated | truncated)
+        for watch in watchers:
+            watch(True)
 
 
 def run_episodes(policy, env, command=None):
@@ -134,6 +137,8 @@ def episodes(folder, commands, each, clip=None, roughness=None, nominal=False):
             with suppress(OSError):  # who may not write there plays again the next time
                 run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
         return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)
+    for watch in watchers:
+        watch(False)
     return Episodes(*np.concatenate([table[rows] for rows in mine])[:, len(ASKED) :].T)
 
 

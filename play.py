@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 import time
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +20,12 @@ if HEADLESS:  # MuJoCo decides on import how it will draw
     backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
 
-import mujoco
-import mujoco.viewer
+try:
+    import mujoco
+    import mujoco.viewer
+except (RuntimeError, AttributeError, OSError) as error:  # MuJoCo does not know a value, or lacks its library
+    print(f"play.py: MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not work, so unset it: {error}", file=sys.stderr)
+    sys.exit(2)
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -131,45 +136,45 @@ def save_gif(path, env, steps, seconds, command):
             ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
             palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames is smaller
             images.append(image.quantize(dither=Image.Dither.NONE, **palette))
-    duration = round(1000 * env.period * STEPS_PER_FRAME)
-    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0)
+    gif = dict(save_all=True, append_images=images[1:], duration=round(1000 * env.period * STEPS_PER_FRAME), loop=0)
+    run_folder.replace_file(path, lambda file: images[0].save(file, "GIF", **gif))
 
 
-def writable(path):
-    """The path, if a GIF can be written there. Raises ValueError or OSError if not."""
-    if Path(path).suffix.lower() != ".gif":
-        raise ValueError(f"{path} does not end in .gif")
-    Path(path).touch()
-    return path
+def check_drawing(gif):
+    """Raise ValueError or OSError if the file gif, or a window for None, cannot be drawn."""
+    if gif is not None:
+        if Path(gif).suffix.lower() != ".gif":
+            raise ValueError(f"--gif is {gif!r}: it must end in .gif")
+        run_folder.check_writable(Path(gif))
+    if sys.platform == "linux" and (gif is None or os.environ.get("MUJOCO_GL", "").lower() not in ("egl", "osmesa")):
+        with warnings.catch_warnings(action="ignore"):
+            if not mujoco.viewer.glfw.init():  # the viewer would end the process
+                raise ValueError("no display answers; --gif FILE needs none, but libegl1, and DISPLAY, MUJOCO_GL unset")
 
 
 def main(argv):
     """Play or draw; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
     parser.add_argument("run", help="run folder with a policy.npz")
     parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
-    parser.add_argument("--command", type=float, nargs=3, metavar=("VX", "VY", "YAW"),
-                        help="m/s, m/s, rad/s (default: the task's greatest)")  # fmt: skip
+    asked = dict(type=float, nargs=3, metavar=("VX", "VY", "YAW"), help="m/s, rad/s (default: the task's greatest)")
+    parser.add_argument("--command", **asked)
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
     args = parser.parse_args(argv)
     try:
-        _, env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")
-        env = make_env(env_cfg, args.roughness)
-        greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
-        command = np.array(greatest if args.command is None else args.command, float)
-        if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600:
-            raise ValueError("--command takes three finite numbers, --seconds one from 0.1 to 600")
+        env = make_env(run_folder.load_policy(Path(args.run) / "policy.npz")[1], args.roughness)
+        command = np.array(args.command or ((1, 0, 0) if env.task.curriculum else env.task.command_high), float)
+        if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600:  # nan as well
+            raise ValueError("--command takes three numbers from -10 to 10, --seconds one from 0.1 to 600")
+        check_drawing(args.gif)
         steps = play(env, args.run, command, args.follow)
-        if not args.gif and HEADLESS:
-            raise ValueError("there is no display to open a window on: add --gif FILE")
-        if args.gif and os.environ.get("MUJOCO_GL") == "off":
-            raise ValueError("nothing to draw with: install libegl1 or libosmesa6")
-        if args.gif:
-            save_gif(writable(args.gif), env, steps, args.seconds, command)
-        else:
+        if args.gif is None:
             watch(env, steps, command)
+        else:
+            save_gif(Path(args.gif), env, steps, args.seconds, command)
     except KeyboardInterrupt:
         return 130
     except (ImportError, AttributeError, mujoco.FatalError) as error:

@@ -13,6 +13,7 @@ Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in o
 or the new one. What cannot be read raises ValueError with one line that says why.
 """
 
+import errno
 import itertools
 import json
 import os
@@ -21,11 +22,11 @@ import shlex
 import subprocess
 import sys
 import time
-import zipfile
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -72,6 +73,20 @@ def replace_file(path, write):
     os.replace(temporary, path)
 
 
+def check_writable(path):
+    """Raise OSError if `replace_file` cannot write 2 MB to path: who is to work for hours wants to know before."""
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder is in the way")
+        with open(temporary, "wb") as file:
+            file.write(bytes(2**21))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 @contextmanager
 def lock(folder):
     """Keep the run folder to this process, until it ends in whatever way. ValueError if another process has it."""
@@ -115,26 +130,46 @@ def tuples(record):
     return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
 
 
+def to_config(kind, record):
+    """The dataclass `kind` of a record from JSON. TypeError for names and types that are not those of its fields."""
+    config = kind(**tuples(record))
+    for field in fields(kind):
+        x, part = getattr(config, field.name), type(field.default[0]) if field.type is tuple else field.type
+        kinds = get_args(part) or (part,)  # for `float | None` these are float and NoneType
+        parts = x if field.type is tuple else (x,)
+        if type(parts) is not tuple or not {type(y) for y in parts} <= {*kinds, *[int] * (float in kinds)}:
+            what = "a list of " * (field.type is tuple) + " or ".join(k.__name__ for k in kinds)
+            raise TypeError(f"{field.name} is {x!r}: it must be {what}")
+    return config
+
+
 def load_config(folder):
     """The tasks.Config and eipo.Config of a run."""
     try:
         record = json.loads((folder / "config.json").read_text())
-        return tasks.Config(**tuples(record["env"])), eipo.Config(**tuples(record["learner"]))
+        env_cfg, cfg = to_config(tasks.Config, record["env"]), to_config(eipo.Config, record["learner"])
+        tasks.check(cfg.num_envs, env_cfg, None)
+        eipo.check(cfg)
+        return env_cfg, cfg
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{folder / 'config.json'} is damaged or of another version: {error}") from None
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(
+            f"{folder / 'config.json'} is damaged or of another version, so set it right: {error}"
+        ) from None
 
 
 def read_npz(path):
     """The arrays of an npz file as a dict. Raises ValueError, in one line, for a missing or damaged file."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
+            if damaged := arrays.zip.testzip():  # NumPy trusts a header, and checks no sum if it is told to read less
+                raise ValueError(f"the checksum of {damaged} is wrong")
             return dict(arrays)
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, RuntimeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
+    except Exception as error:  # whatever the readers of zip, of npy and of the Python literal in its header may raise
+        raise ValueError(f"{path} is damaged or was not written by train.py, so get it anew: {error}") from None
 
 
 def checkpoint_arrays(state, envs):
@@ -160,13 +195,15 @@ def check_settings(folder, env_cfg, cfg):
     Raises ValueError if the Configs, which are those of config.json, are not those with which it was trained.
     """
     path = folder / "checkpoint.npz"
+    settings = str(read_npz(path).get("settings", "{}"))
     try:
-        trained = json.loads(str(read_npz(path).get("settings", "{}")))
-    except json.JSONDecodeError as error:
+        trained = json.loads(settings)
+        parts = [(config, tuples(trained.get(part, {}))) for part, config in (("env", env_cfg), ("learner", cfg))]
+    except (ValueError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} is damaged: {error}") from None
-    for part, config in (("env", env_cfg), ("learner", cfg)):
-        for name, was in tuples(trained.get(part, {})).items():
-            if name != "iterations" and (x := getattr(config, name)) != was:  # --resume may raise iterations
+    for config, record in parts:
+        for name, was in record.items():
+            if name != "iterations" and (x := getattr(config, name, None)) != was:  # --resume may raise iterations
                 raise ValueError(f"{folder / 'config.json'} says {name} {x}, but the run has {was}: set it back")
     return trained.get("jax_threads")
 
@@ -185,6 +222,8 @@ def load_checkpoint(path, template, envs):
             kinds = [f"{x.dtype.type.__name__} {x.shape}" for x in (arrays[name], like)]
             if kinds[0] != kinds[1]:
                 raise ValueError(f"{name} is {kinds[0]}, not {kinds[1]}")
+            if name.startswith(("state.pi", "state.dual")) and np.isfinite(like).all():
+                check_finite({name: arrays[name]})
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
             env.load({name.removeprefix(f"env{i}."): x for name, x in arrays.items() if name.startswith(f"env{i}.")})
@@ -218,6 +257,13 @@ def save_policy(path, params, env_cfg):
     path.with_name(EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
 
+def check_finite(tree):
+    """Raise ValueError if an array in a tree of arrays holds anything but finite numbers."""
+    for path, x in jax.tree_util.tree_leaves_with_path(tree):
+        if x.dtype.kind not in "biuf" or not np.isfinite(x).all():
+            raise ValueError(f"{jax.tree_util.keystr(path)} does not hold finite numbers")
+
+
 def load_policy(path):
     """The parameters that `networks.policy` takes and the environment's Config, from a policy.npz."""
     arrays = read_npz(path)
@@ -228,10 +274,17 @@ def load_policy(path):
         return [networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices]
 
     try:
+        env_cfg = to_config(tasks.Config, json.loads(str(arrays["config"])))
+        tasks.check(1, env_cfg, None)
         params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
-        return params, tasks.Config(**tuples(json.loads(str(arrays["config"]))))
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is not a policy of this version: {error}") from None
+        check_finite(params)
+        obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)
+        with suppress(TypeError, ValueError):
+            if [x.shape for x in jax.eval_shape(networks.policy, params, obs)] == [(12,), (12,), (3,)]:
+                return params, env_cfg
+        raise ValueError(f"its layers do not fit each other or its history of {env_cfg.history}")
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not a policy of this version, so train it anew: {error}") from None
 
 
 class Log:

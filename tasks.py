@@ -31,8 +31,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 import rewards
 import terrain
 
@@ -47,20 +45,24 @@ class Task(NamedTuple):
     only_feet: bool = False  # whether the feet alone may touch the ground; otherwise the calves may, too (D13)
     torque_speed: bool = False  # whether the torque-speed limit of Section V-D holds
     curriculum: bool = False  # whether commands come from curriculum.py
+    about: str = ""  # the task in a few words, for `train.py -h`
 
 
 FORWARD = (1.0, 0.0, 0.0)
 RANDOMISED = dict(friction=(0.1, 1.25), payload=(-1.0, 3.0), com=(-0.05, 0.05), motor_strength=(0.9, 1.1),
                   motor_offset=(-0.02, 0.02), gravity=(-1.0, 1.0))  # fmt: skip
 TASKS = {
-    "flat": Task(rewards.flat, dict(history=5), dict(lam=0.005, iterations=4000), command_high=FORWARD),
+    "flat": Task(rewards.flat, dict(history=5), dict(lam=0.005, iterations=4000), command_high=FORWARD,
+                 about="walk at up to 1 m/s on flat ground"),
     "rough": Task(rewards.rough, dict(history=10, roughness=(0.0, 0.15), cells_per_m=1),
-                  dict(lam=0.0002, iterations=4000), command_high=FORWARD),
+                  dict(lam=0.0002, iterations=4000), command_high=FORWARD, about="the same on hills of up to 15 cm"),
     "velocity": Task(rewards.max_velocity, dict(history=10, roughness=(0.05, 0.05)),
-                     dict(lam=0.0002, iterations=10_000, num_envs=128), only_feet=True, torque_speed=True),
+                     dict(lam=0.0002, iterations=10_000, num_envs=128), only_feet=True, torque_speed=True,
+                     about="run as fast as possible on bumps of 5 cm"),
     "curriculum": Task(rewards.curriculum, dict(history=5, roughness=(0.0, 0.05), motor_model=True, latency=6,
                        max_power=800.0, episode_steps=1000, command_steps=500, **RANDOMISED),
-                       dict(lam=0.005, iterations=10_000), only_feet=True, curriculum=True),
+                       dict(lam=0.005, iterations=10_000), only_feet=True, curriculum=True,
+                       about="walk, run and turn as commanded, with commands that grow"),
 }  # fmt: skip
 
 
@@ -105,33 +107,44 @@ def task_config(task="flat", **changes):
     return Config(**dict(task=task) | TASKS[task].world | changes)
 
 
-MOST_FRICTION = 1.5  # the more friction a foot has, the deeper MuJoCo lets it sink in, see test_no_foot_sinks_in (D24)
-MAY_BE_ZERO = ("start_spread", "noise", "clock_hz", "latency", "ground_seed")
+WORDS = dict(frame=("heading", "body"), clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped"))
+LIMITS = {  # least and greatest value, or ends of a range, with unit and reason: no world beyond can be built or used
+    "num_envs": (1, 2**16, ""),
+    "threads": (1, 1024, ""),
+    "history": (1, 100, ", because the matrix that mirrors it grows with its square"),
+    "num_envs * history": (1, 2**19, ", because a rollout keeps so many frames for each of its steps"),
+    "episode_steps": (1, 1e9, ""),
+    "command_steps": (1, 1e9, ""),
+    "timestep": (1e-9, 0.02, " s, because at 0.03 the motors' PD controllers blow up"),
+    "physics_steps": (1, 100, ""),
+    "clock_hz": (0, 1e9, " Hz"),
+    "action_limit": (1e-9, 1e3, ""),
+    "noise": (0, 100, ""),
+    "roughness": (0, 1, " m, which is three times the height of the robot"),
+    "cells_per_m": (1, 0.5 / terrain.SPACING, f" cells, because points of the ground are {terrain.SPACING} m apart"),
+    "ground_seed": (0, 2**31 - 1, ""),
+    "start_spread": (0, 10, ""),
+    "tiles": (1, 1000, ", because that many take ten seconds to make"),
+    "friction": (0, 1.5, ", because feet with more sink into the ground"),  # see test_no_foot_sinks_in (D24)
+    "payload": (-4.9, 20, " kg, on a trunk of 5.6 kg"),
+    "com": (-0.1, 0.1, " m"),
+    "motor_strength": (0.01, 100, ""),
+    "motor_offset": (-1, 1, " rad"),
+    "gravity": (-5, 5, " m/s^2, so that things still fall"),
+    "latency": (0, 1000, " physics steps"),
+    "max_power": (1e-9, 1e6, " W"),
+}
 
 
 def check(num_envs, env_cfg, threads):
-    """Raise ValueError, in one line, for settings from which no world can be built."""
+    """Raise ValueError, in one line, for settings from which no world can be built, or no useful one."""
     task_config(env_cfg.task)
-    for name, choices in dict(
-        frame=("heading", "body"), clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped")
-    ).items():
-        if (x := getattr(env_cfg, name)) not in choices:
-            raise ValueError(f"{name} is {x!r}: it must be one of {', '.join(choices)}")
-    for name, x in (vars(env_cfg) | dict(num_envs=num_envs, threads=threads)).items():
-        if isinstance(x, tuple) and not (len(x) == 2 and -np.inf < x[0] <= x[1] < np.inf):
-            raise ValueError(f"{name} is {x}: it must be a finite range, low end first")
-        least = 0 if name in MAY_BE_ZERO else 1 if isinstance(x, int) else 1e-9
-        if not isinstance(x, bool | str | tuple | None) and not least <= x < np.inf:
-            raise ValueError(f"{name} is {x}: it must be a finite number, at least {least}")
-    for name in ("friction", "roughness"):
-        if getattr(env_cfg, name)[0] < 0:
-            raise ValueError(f"{name} is {getattr(env_cfg, name)}: it must not be negative")
-    if env_cfg.friction[1] > MOST_FRICTION:
-        raise ValueError(f"friction is {env_cfg.friction}: above {MOST_FRICTION} the feet would sink into the ground")
-    if env_cfg.cells_per_m * terrain.SPACING > 0.5:
-        raise ValueError(
-            f"cells_per_m is {env_cfg.cells_per_m}: a ground of points {terrain.SPACING} m apart can show"
-            f" {0.5 / terrain.SPACING:.0f} cells per metre at most"
-        )
-    if env_cfg.payload[0] <= -5:
-        raise ValueError(f"payload is {env_cfg.payload}: a trunk of 5.6 kg cannot lose 5 kg or more")
+    given = vars(env_cfg) | {"num_envs": num_envs, "num_envs * history": num_envs * env_cfg.history, "threads": threads}
+    for name, choices in WORDS.items():
+        if given[name] not in choices:
+            raise ValueError(f"{name} is {given[name]!r}: it must be one of {', '.join(choices)}")
+    for name, (low, high, why) in LIMITS.items():
+        x, what = given[name], "a range, low end first, within" if isinstance(given[name], tuple) else "from"
+        ends = x if isinstance(x, tuple) else (x, x)
+        if x is not None and not (len(ends) == 2 and low <= ends[0] <= ends[1] <= high):  # nan as well
+            raise ValueError(f"{name} is {x}: it must be {what} {low:g} to {high:g}{why}")

@@ -73,24 +73,26 @@ def kind_of(field):
     """Arguments of argparse for a field, by its annotation. Where that allows None, the word none stands for it."""
     if field.type is bool:
         return dict(action=argparse.BooleanOptionalAction)
-    if field.type is tuple:
-        return dict(nargs="+", type=type(field.default[0]))
-    if not (kinds := get_args(field.type)):  # for `float | None` these are float and NoneType
-        return dict(type=field.type)
+    several = field.type is tuple
+    kind, *none = (type(field.default[0]),) if several else get_args(field.type) or (field.type,)
 
     def read(text):
-        return None if text == "none" else kinds[0](text)
+        if several and "," in text:
+            raise argparse.ArgumentTypeError(f"{text} has commas: put spaces, as in {text.replace(',', ' ')}")
+        return None if none and text == "none" else kind(text)
 
-    read.__name__ = kinds[0].__name__  # argparse names it when it cannot read a value
-    return dict(type=read)
+    read.__name__ = kind.__name__  # argparse names it when it cannot read a value
+    return dict(type=read, nargs="+" if several else None)
 
 
 def parse(argv):
     """The flags that were given: one dict of fields for each of CONFIGS."""
-    usage = "train.py [--task flat] [--algo eipo|ppo] [--out DIR] [--resume] [--FIELD VALUE ...]"
+    usage = f"train.py [--task {'|'.join(tasks.TASKS)}] [--algo eipo|ppo] [--out DIR] [--resume] [--FIELD VALUE ...]"
+    about = "\n".join(f"  {name:<{max(map(len, tasks.TASKS))}}  {task.about}" for name, task in tasks.TASKS.items())
     parser = argparse.ArgumentParser(
-        usage=usage, description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS, allow_abbrev=False
-    )
+        usage=usage, description=f"{__doc__.splitlines()[0]}\n\ntasks:\n{about}", allow_abbrev=False,
+        argument_default=argparse.SUPPRESS, formatter_class=argparse.RawDescriptionHelpFormatter
+    )  # fmt: skip
     parser.error = lambda message: parser.exit(2, f"train.py: {message} (-h lists every flag)\n")
     for config in CONFIGS:
         comments = describe(config)

@@ -1,5 +1,8 @@
 """What several files of tests need, once: settings and networks of the learner, robots placed by hand, run folders."""
 
+import resource
+from contextlib import contextmanager
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -151,6 +154,24 @@ DAMAGES = {
     "binary": lambda path: path.write_bytes(b"\xff\x00"),
     "of another program": write_other_npz,
 }  # of a file
+
+
+def change_npz(path, **changes):
+    """Other arrays in an npz file; None takes an array away."""
+    arrays = run_folder.read_npz(path) | {name.replace("__", "."): x for name, x in changes.items()}
+    with path.open("wb") as file:
+        np.savez(file, **{name: x for name, x in arrays.items() if x is not None})
+
+
+@contextmanager
+def full_disk(size):
+    """Meanwhile no file can grow beyond `size` bytes, which the system reports much as it reports a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def contents(folder):

@@ -3,6 +3,8 @@
 import csv
 import functools
 import gzip
+import itertools
+import json
 import os
 import shlex
 import shutil
@@ -16,11 +18,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
-from support import DAMAGES, LAMBDAS, ROOT, TINY, error_of, make_run
+from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of, full_disk, make_run
 
 import eipo
 import evaluate
 import measure
+import rewards
 import run_folder
 import tasks
 import train
@@ -470,9 +473,205 @@ def test_a_foreign_config_is_one_line(runs, capsys, text):
     assert "empty" in error_of(capsys, evaluate.main, "fig2", "empty", "--out", "out")
 
 
-def test_an_unwritable_folder_is_one_line(runs, scripted, capsys):
+TYPES = [
+    ("learner", "num_envs", "4"),
+    ("env", "history", 2.5),
+    ("env", "history", True),
+    ("env", "friction", 0.5),
+    ("env", "friction", ["a", 1]),
+    ("learner", "hidden", [8.5]),
+    ("learner", "lam", None),
+    ("learner", "lam", [1]),
+    ("env", "stagger", 1),
+    ("learner", "mirror", "yes"),
+    ("env", "task", ["flat"]),
+    ("env", "max_power", "9"),
+]
+RANGES = [("env", "noise", float("nan")), ("env", "motor_strength", [-1, -1]), ("env", "task", "moon"),
+          ("env", "tiles", 10**6), ("learner", "lr", -1.0), ("learner", "num_envs", 10**12)]  # fmt: skip
+
+
+@pytest.mark.parametrize("part, name, x", TYPES + RANGES)
+def test_a_setting_of_another_type_or_beyond_its_range_is_one_line(runs, capsys, part, name, x):
+    """In config.json, and for the world also in the policy."""
+    folder = Path(shutil.copytree(runs["flat"], "run"))
+    record = json.loads((folder / "config.json").read_text())
+    record[part][name] = x
+    (folder / "config.json").write_text(json.dumps(record))
+    says = error_of(capsys, evaluate.main, "fig2", folder, "--out", "out")
+    assert "run/config.json" in says and name in says
+    if part == "env":
+        (folder / "config.json").write_bytes((runs["flat"] / "config.json").read_bytes())
+        change_npz(folder / "policy.npz", config=np.array(json.dumps(record["env"])))
+        says = error_of(capsys, evaluate.main, "fig2", folder, "--out", "out")
+        assert "run/policy.npz" in says and name in says
+
+
+def test_whole_numbers_stand_for_floats_in_a_config(runs):
+    """As another program may write them: 0 for 0.0, also for the lambda of PPO."""
+    folder = Path(shutil.copytree(runs["flat_ppo_0"], "run"))
+    record = json.loads((folder / "config.json").read_text())
+    record["learner"]["lam"], record["env"]["roughness"] = 0, [0, 0]
+    (folder / "config.json").write_text(json.dumps(record))
+    assert run_folder.load_config(folder) == run_folder.load_config(runs["flat_ppo_0"])
+
+
+def test_every_run_in_results_can_be_read():
+    policies = list(ROOT.glob("results/*/*/policy.npz"))
+    assert len(policies) > 3 and all(run_folder.load_policy(policy) for policy in policies)
+    assert all(run_folder.load_config(policy.parent) for policy in policies)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [dict(actor__0__W=np.ones((3, 3), np.float32)), dict(actor__1__b=np.ones(11, np.float32)),
+     dict(actor__2__W=np.ones((12, 5), np.float32), actor__2__b=np.ones(5, np.float32)), dict(log_std=np.ones(3)),
+     dict(estimator__0__W=None), dict(actor__0__W=np.full((91, 8), np.nan, np.float32)),
+     dict(estimator__0__b=np.full(8, np.inf, np.float32)), dict(actor__0__W=np.full((91, 8), "x")),
+     dict(actor__0__W=np.ones((91, 8), complex)), dict(config=np.array("[1]")), dict(config=np.array(7)),
+     dict(config=np.array(json.dumps(dict(task="flat", history=3)))), dict(config=np.array("[" * 5000))],
+    ids=lambda x: "-".join(x),
+)  # fmt: skip
+def test_a_policy_that_fits_nothing_is_one_line(runs, capsys, changes):
+    """Widths that do not fit each other, 12 joints or H * 44 entries; NaN, infinities and text; no config."""
+    folder = Path(shutil.copytree(runs["flat"], "run"))
+    change_npz(folder / "policy.npz", **changes)
+    assert "run/policy.npz" in error_of(capsys, evaluate.main, folder, "--episodes", 1)
+
+
+@pytest.mark.parametrize("old, new", [(b"(100, 60)", b"(100, 50)"), (b"(100, 60)", b"(100, 60("), (b"'<f4'", b"'<f2'"),
+                                      (b"'descr'", b"'descs'"), (b"\x93NUMPY", b"\x93NUMPX"), (b"(100", b"(\xff00"),
+                                      (b"\x01\x00v", b"\x01\x00w"), (b"{'d", b"[[d")])  # fmt: skip
+def test_a_damaged_header_of_an_array_is_one_line(tmp_path, old, new):
+    """Bytes of an npy header within an npz, which NumPy reads as Python. A smaller shape it took for granted.
+
+    The array has 24 kB. Smaller ones zipfile reads in one piece, and so finds the wrong checksum itself.
+    """
+    np.savez(tmp_path / "a.npz", a=np.ones((100, 60), np.float32))
+    data = (tmp_path / "a.npz").read_bytes()
+    assert old in data and len(old) == len(new)
+    (tmp_path / "a.npz").write_bytes(data.replace(old, new))
+    with pytest.raises(ValueError, match=r"\A.*a\.npz is damaged.*\Z"):
+        run_folder.read_npz(tmp_path / "a.npz")
+
+
+def test_what_is_no_run_folder_is_left_out_and_named(runs, capsys, scripted, unsaved):
+    """As `evaluate.py results/flat/*` has it. The rest is evaluated; a path that does not exist is a mistake."""
+    (Path("bare") / "deep").mkdir(parents=True)
+    Path("page.md").write_text("# A page")
+    unplayed = Path(shutil.copytree(runs["flat_ppo"], "unplayed"))
+    (unplayed / "policy.npz").unlink()
+    played = Path(shutil.copytree(runs["rough"], "played"))
+    (played / "policy.npz").rename(played / run_folder.EPISODES)
+    others = ["bare", "page.md", str(unplayed)]
+    run("fig4", *others, runs["flat"], played)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "left out" in line and line.endswith(", ".join(others))
+    assert distinct(unsaved[0][0], "task") == [("flat",), ("rough",)]
+    assert all(name in error_of(capsys, evaluate.main, "fig2", *others) for name in others)
+    assert "nowhere" in error_of(capsys, evaluate.main, "fig2", runs["flat"], "nowhere")
+
+
+def test_the_folders_in_results_can_be_given_with_a_star(capsys):
+    """16 control steps of 11 episodes, in a copy: evaluating writes into run folders."""
+    shutil.copytree(ROOT / "results" / "flat", "flat")
+    run(*sorted(Path("flat").iterdir()), "--episodes", 11)
+    said = capsys.readouterr()
+    assert "| seed0 |" in said.out and "flat/README.md" in said.err and "flat/seed0" not in said.err
+
+
+def test_runs_of_several_tasks_have_their_own_columns(runs, scripted, capsys):
+    """`velocity` has no commands, and so no speed for each of them: another head is printed, and the CSV has both."""
+    folders = [Path(shutil.copytree(runs[name], name)) for name in ("velocity", "flat", "flat_1")]
+    for folder in folders:
+        rows = [f"{i},{100 * i},1,{i}" for i in range(1, 30)]
+        (folder / "metrics.csv").write_text("\n".join(["iteration,steps,reward,time_s", *rows, ""]))
+    run(*folders)
+    lines = [line.split("|") for line in capsys.readouterr().out.splitlines()]
+    assert [line[1].strip() for line in lines] == ["run", "---", "velocity", "run", "---", "flat", "flat_1"]
+    assert len(lines[0]) == len(lines[2]) < len(lines[3]) == len(lines[5]) == len(lines[6])
+    run("seeds", *folders)
+    assert [row["v_x_at_0.1"] for row in table("seeds.csv")] == ["", "103.75", "111.75"]
+
+
+def test_a_fifth_task_needs_no_entry_but_its_own(runs, monkeypatch):
+    """README: an entry in tasks.TASKS, and `evaluate.py RUN` knows it. Tables of evaluate.py may lack it."""
+    monkeypatch.setitem(tasks.TASKS, "fifth", tasks.Task(rewards.flat, {}, {}))
+    folder = make_run(Path("fifth"), "fifth")
+    (folder / "metrics.csv").write_text("iteration,steps,reward,time_s\n1,10,1,1\n")
+    run(folder, "--episodes", 11)
+    for what in evaluate.FIGURES:
+        assert evaluate.main([what, "fifth", "--episodes", "11"]) == (0 if what == "seeds" else 2), what
+
+
+@pytest.mark.parametrize("episodes", [0, -3, 10**6])
+def test_too_few_or_too_many_episodes_are_one_line(runs, capsys, episodes):
+    assert f"--episodes is {episodes}" in error_of(capsys, evaluate.main, runs["flat"], "--episodes", episodes)
+
+
+# ---- what is written ----
+
+
+@pytest.mark.parametrize("name", ["fig2.csv", "fig2.png"])
+def test_outputs_are_tried_before_anything_is_played(runs, scripted, capsys, name):
+    """A file in the way of the folder, a folder in the way of a file, a full disk. What was there before stays."""
     Path("file").write_text("in the way")
-    assert "file" in error_of(capsys, evaluate.main, "fig2", runs["flat"], "--episodes", 11, "--out", "file")
+    assert "file" in error_of(capsys, evaluate.main, "fig2", runs["flat"], "--out", "file")
+    Path("full").mkdir()
+    (Path("full") / name).write_text("before")
+    with full_disk(10_000):
+        assert "full/fig2.csv" in error_of(capsys, evaluate.main, "fig2", runs["flat"], "--out", "full")
+    assert contents(Path("full")) == {name: b"before"}
+    (Path("out") / name).mkdir(parents=True)
+    assert f"out/{name}" in error_of(capsys, evaluate.main, "fig2", runs["flat"], "--out", "out")
+    assert scripted == []
+
+
+def test_a_disk_that_fills_up_meanwhile_leaves_both_files_as_they_were(runs, scripted, capsys, monkeypatch):
+    """The CSV has 1 kB and would still fit, the PNG 30 kB; a CSV beside the figure of other numbers would mislead."""
+    Path("fig2.csv").write_text("before")
+    Path("fig2.png").write_bytes(b"before")
+    with monkeypatch.context() as patch, full_disk(8_000):
+        patch.setattr(run_folder, "check_writable", lambda path: None)
+        assert "large" in error_of(capsys, evaluate.main, "fig2", runs["flat"])
+    assert (Path("fig2.csv").read_text(), Path("fig2.png").read_bytes()) == ("before", b"before")
+    run("fig2", runs["flat"])
+    assert 500 < Path("fig2.csv").stat().st_size < 8000 < Path("fig2.png").stat().st_size
+
+
+def test_only_policies_that_there_are_are_kept(runs, scripted):
+    """A folder may have come without its policy, with episodes that were played before."""
+    for name in ("flat", "flat_1"):
+        shutil.copytree(runs[name], name)
+    (Path("flat") / "policy.npz").rename(Path("flat") / run_folder.EPISODES)
+    run("fig2", "flat", "flat_1", "--out", "out")
+    assert [str(path) for path in Path("out").rglob("*.npz")] == ["out/flat_1/policy.npz"]
+
+
+# ---- progress ----
+
+
+def test_a_terminal_shows_progress_and_the_time_left(runs, capsys, monkeypatch):
+    """Four times 16 steps of a minute each, in a line that rewrites itself and is cleared in the end.
+
+    Runs of another task do not count, nor do episodes that are on disk: where half are known, the rest is half.
+    """
+    monkeypatch.setattr(evaluate.time, "monotonic", itertools.count(0, 60).__next__)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    folders = [shutil.copytree(runs[name], name) for name in ("flat", "flat_ppo", "rough")]
+    run("fig2", *folders, "--episodes", 11)
+    shown = [f"{k / 64:.0%} played, {64 - k} min left" for k in range(1, 64)]
+    assert capsys.readouterr().err == "".join(f"{text}\x1b[K\r" for text in [*shown, ""]) + "\x1b[K"
+    (Path("flat_ppo") / run_folder.EPISODES).unlink()
+    run("fig2", *folders, "--episodes", 11)
+    shown = [text.split(" played")[0] for text in capsys.readouterr().err.split("\x1b[K\r")]
+    assert shown == ["", "", *(f"{k / 32:.0%}" for k in range(1, 32)), "", "\x1b[K"]
+
+
+def test_without_a_terminal_nothing_is_shown(runs, capsys):
+    """A log file would fill with it."""
+    run(runs["flat"], "--episodes", 11)
+    assert capsys.readouterr().err == "" and measure.watchers == []
 
 
 def test_ctrl_c_is_no_traceback(runs, monkeypatch):

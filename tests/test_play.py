@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import DAMAGES, ROOT, error_of, make_run
+from support import DAMAGES, ROOT, contents, error_of, full_disk, make_run
 
 import go1
 import go1_env
@@ -140,6 +140,62 @@ def test_without_opengl_two_lines_say_what_to_do(runs, tmp_path):
     assert done.stdout == "[2, 2]\n" and "--gif" in window and "libegl1" in gif
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="displays have names on Linux")
+@pytest.mark.parametrize("name, value", [("DISPLAY", ":4321"), ("WAYLAND_DISPLAY", "gone"), ("MUJOCO_GL", "glfw")])
+@pytest.mark.parametrize("gif", [[], ["--gif", "a.gif"]], ids=["window", "gif"])
+def test_a_display_that_does_not_answer_is_one_line(runs, tmp_path, capsys, monkeypatch, name, value, gif):
+    """A connection that is gone, as tmux and screen keep it in DISPLAY. GLFW warns, and MuJoCo ends the process."""
+    for display in DISPLAYS:
+        monkeypatch.delenv(display, raising=False)
+    monkeypatch.setenv(name, value)
+    monkeypatch.setattr(play, "make_scene", None)
+    monkeypatch.chdir(tmp_path)
+    says = error_of(capsys, play.main, runs["flat"], *gif)
+    assert "--gif" in says and "DISPLAY" in says and not list(tmp_path.iterdir())
+
+
+def test_a_backend_that_mujoco_does_not_have_is_one_line():
+    """It is an error of `import mujoco` itself."""
+    command = [sys.executable, ROOT / "play.py", "-h"]
+    done = subprocess.run(command, env=HEADLESS | dict(MUJOCO_GL="foo"), capture_output=True, text=True)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2 and line.startswith("play.py: MUJOCO_GL=foo ") and "unset" in line
+
+
+def test_a_full_disk_is_told_before_anything_is_drawn_and_keeps_the_old_gif(runs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(play, "make_scene", None)
+    (tmp_path / "a.gif").write_bytes(b"before")
+    with full_disk(10_000):
+        assert "a.gif" in error_of(capsys, play.main, runs["flat"], "--gif", tmp_path / "a.gif")
+    assert contents(tmp_path) == {"a.gif": b"before"}
+
+
+class FakeRenderer(nullcontext):
+    """mujoco.Renderer without OpenGL: frames of noise, which a GIF cannot make small."""
+
+    def __init__(self, model, height, width):
+        self.shape, self.rng, self.enter_result = (height, width, 3), np.random.default_rng(0), self
+
+    def update_scene(self, data, camera):
+        pass
+
+    def render(self):
+        return self.rng.integers(256, size=self.shape, dtype=np.uint8)
+
+
+def test_a_gif_is_replaced_in_one_step(env, tmp_path, monkeypatch):
+    """A disk that fills up while it is written keeps the old one whole."""
+    monkeypatch.setattr(mujoco, "Renderer", FakeRenderer)
+    path, log = tmp_path / "a.gif", dict(v_x=np.zeros(1), power=np.zeros(1))
+    path.write_bytes(b"before")
+    with full_disk(10_000), pytest.raises(OSError):
+        play.save_gif(path, env, itertools.repeat(log), 0.2, np.zeros(3))
+    assert path.read_bytes() == b"before"
+    play.save_gif(path, env, itertools.repeat(log), 0.2, np.zeros(3))
+    with Image.open(path) as gif:
+        assert (gif.format, gif.n_frames) == ("GIF", 4)
+
+
 @pytest.mark.parametrize(
     "run, argv, says",
     [
@@ -147,7 +203,9 @@ def test_without_opengl_two_lines_say_what_to_do(runs, tmp_path):
         ("none", "--gif a.gif", "none"),
         ("none", "--follow", "none"),
         ("truncated", "", "truncated"),
-        ("rough", "--roughness -1", "roughness"),
+        *(("rough", f"--roughness {x}", "roughness") for x in ("-1", "nan", "1000000")),
+        *(("flat", f"--command {x}", "--command") for x in ("1e300 0 0", "0 nan 0", "0 0 -11")),
+        ("flat", "--gif=", "--gif is ''"),
         *(("flat", f"--gif a.gif --seconds {x}", "--seconds") for x in ("0", "-3", "0.02", "inf", "nan")),
         ("flat", "--gif none/a.gif", "none/a.gif"),
         ("flat", "--gif a.png", "a.png"),
@@ -173,7 +231,7 @@ def test_what_goes_wrong_is_one_line_before_anything_is_drawn(runs, tmp_path, ca
 )
 def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
-    monkeypatch.setattr(play, "HEADLESS", False)
+    monkeypatch.setattr(play, "check_drawing", lambda gif: None)
     monkeypatch.setattr(play, "watch", lambda env, steps, asked: seen.append((next(steps), env, asked)))
     assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, env, asked),) = seen

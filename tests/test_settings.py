@@ -1,13 +1,15 @@
 """Settings: those of the paper, those that cannot be, and that the command line tells them apart in one line."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
+import numpy as np
 import pytest
-from support import error_of
+from support import error_of, make, still
 
 import eipo
 import go1_env
 import measure
+import rewards
 import tasks
 import train
 
@@ -55,14 +57,18 @@ OUT_OF_RANGE = [
     "--num-envs -4", "--num-envs 0", "--num-steps 0", "--num-epochs 0", "--iterations 0", "--seed -1",
     "--seed 5000000000", "--lam nan", "--lam -0.1", "--lam 0", "--lr inf", "--lr -1", "--lr 0.01", "--gamma 1.5",
     "--momentum-alpha 2", "--target-kl -1", "--clip-eps -0.2", "--lr-alpha -1", "--alpha0 -1", "--log-std 2",
+    "--hidden 1000000 1000000", "--hidden 64 64 64 64 64 64 64", "--num-steps 1000000", "--num-epochs 1000000000",
     # the world's
     "--task hover", "--history 0", "--episode-steps -5", "--command-steps 0", "--physics-steps 0", "--timestep 0",
     "--clock-hz inf", "--action-limit -10", "--max-power 0", "--noise nan", "--clip speed", "--friction 1.25 0.5",
     "--friction 0.5 inf", "--friction -0.5 0.5", "--friction 1", "--payload nan 1",
     "--roughness -0.05 0.05", "--roughness 0.15 0.05", "--roughness nan 0.15", "--roughness 0 inf", "--cells-per-m 0",
-    "--tiles 0",
+    "--tiles 0", "--motor-strength -1 -1", "--motor-strength 0 1",
+    "--num-envs 100000", "--num-envs 1000000000000", "--history 1000", "--tiles 100000", "--physics-steps 1000000000",
+    "--latency 1000000000", "--timestep 0.03", "--timestep 1", "--payload 1000 1000", "--roughness 0 1000000",
+    "--com -1 1", "--motor-offset 0 7", "--gravity -20 0", "--noise 1000", "--noise inf",
     # the command's
-    "--algo sac", "--checkpoint-every 0", "--threads -1", "--threads 0",
+    "--algo sac", "--checkpoint-every 0", "--threads -1", "--threads 0", "--threads 1000000",
 ]  # fmt: skip
 
 
@@ -88,6 +94,8 @@ def test_bad_settings_are_one_line_and_leave_nothing_behind(tmp_path, capsys, fl
         ("--cells-per-m 11", "10 cells"),  # fewer than 2 points per cell: the noise would not be seen
         ("--friction 0.5 2", "1.5"),
         ("--task moon", "flat, rough, velocity, curriculum"),
+        ("--num-envs 32768 --history 100", "num_envs * history"),  # 14 GB for a rollout
+        ("--num-envs 4096 --num-steps 1000", "samples"),
     ],
 )
 def test_what_is_said_of_bad_settings(capsys, tmp_path, flags, says):
@@ -101,6 +109,47 @@ def test_flags_that_do_not_parse_are_one_line(capsys, flags):
         train.main(flags.split())
     (line,) = capsys.readouterr().err.splitlines()
     assert flags.split()[0] in line
+
+
+@pytest.mark.parametrize("flags", ["--hidden 64,64", "--friction 0.5,1", "--hidden 64, 64"])
+def test_commas_between_numbers_are_one_line_that_wants_spaces(capsys, flags):
+    with pytest.raises(SystemExit, match="2"):
+        train.parse(flags.split())
+    (line,) = capsys.readouterr().err.splitlines()
+    assert flags.split()[0] in line and "spaces, as in " + flags.split()[1].replace(",", " ") in line
+
+
+def test_help_names_every_task_and_what_it_is(capsys, monkeypatch):
+    """Also a fifth task, whose author has not said what it is."""
+    monkeypatch.setitem(tasks.TASKS, "fifth", tasks.Task(rewards.flat, {}, {}))
+    with pytest.raises(SystemExit, match="0"):
+        train.parse(["-h"])
+    usage, said = capsys.readouterr().out.split("\ntasks:\n")
+    lines = [line.split(maxsplit=1) for line in said.split("\n\n")[0].splitlines()]
+    assert lines == [[name, task.about] if task.about else [name] for name, task in tasks.TASKS.items()]
+    assert all(len(task.about) > 10 for name, task in tasks.TASKS.items() if name != "fifth")
+    assert "flat|rough|velocity|curriculum" in usage
+
+
+def test_every_number_of_the_world_has_limits():
+    """A number without any would let a world be built that hangs, or fills the memory, or means nothing."""
+    numbers = {field.name for field in fields(tasks.Config) if field.type not in (str, bool)}
+    assert len(numbers) > 15
+    assert set(tasks.LIMITS) == numbers | {"num_envs", "threads", "num_envs * history"}
+
+
+def test_a_physics_step_may_be_as_long_as_the_motors_stay_stable():
+    """Joints of robots that settle move at less than 1 rad/s on average with 20 ms, and at 1000 and more with 40 ms."""
+    speeds = []
+    for timestep in (tasks.LIMITS["timestep"][1], 0.04):
+        env = make(16, physics_steps=1, timestep=0.02, task="rough", tiles=2)
+        env.batch.expand("opt.timestep")[:] = timestep
+        moving = []
+        for _ in range(100):
+            still(env)
+            moving.append(np.abs(env.qvel[:, 6:]).mean())
+        speeds.append(np.mean(moving))
+    assert speeds[0] < 1 < 1000 < speeds[1]
 
 
 def test_an_environment_checks_its_settings_itself():

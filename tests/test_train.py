@@ -422,15 +422,34 @@ def other_type(path):
     np.savez(path, **arrays | {"env0.age": arrays["env0.age"].astype(str)})
 
 
+def not_a_number(name):
+    """The same checkpoint with one NaN in an array of this name."""
+
+    def damage(path):
+        arrays = run_folder.read_npz(path)
+        arrays[name].flat[0] = np.nan
+        np.savez(path, **arrays)
+
+    return damage
+
+
+def other_settings(text):
+    """The same checkpoint with another text for its settings."""
+    return lambda path: np.savez(path, **run_folder.read_npz(path) | dict(settings=np.array(text)))
+
+
 @pytest.mark.parametrize(
     "file, damage",
     [
         *((file, damage) for file in ("checkpoint.npz", "config.json") for damage in DAMAGES.values()),
         ("checkpoint.npz", other_network),
         ("checkpoint.npz", other_type),
+        *(("checkpoint.npz", not_a_number(f"state.{name}")) for name in (
+            "dual.alpha", "dual.velocity", "pi.params['actor']['log_std']", "pi_prime.params['critic'][0].even")),
+        *(("checkpoint.npz", other_settings(text)) for text in ("7", "[", '{"env": 1}', '{"env": {"moons": 1}}')),
         ("config.json", lambda path: path.write_text("{")),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, finished, file, damage):
     copy(finished, tmp_path)
     damage(tmp_path / file)
