@@ -241,6 +241,8 @@ def pareto(folders, args):
 
 def reached(metrics, level):
     """Million environment steps, and minutes, after which the mean reward of 20 iterations is at a level, or NaN."""
+    if (np.diff(metrics["iteration"]) > 1).any():
+        return np.nan, np.nan  # only every tenth row was kept
     means = np.convolve(metrics["reward"], np.ones(20) / 20, "valid")
     if not (means >= level).any():
         return np.nan, np.nan
@@ -319,13 +321,23 @@ def show_progress(batches):
         measure.watchers.clear()
 
 
-def keep_policies(out, folders):
-    """Copy the policy of every run to out/NAME/policy.npz, so that play.py can show later what a number stands for."""
+def keep_runs(out, folders):
+    """Keep of every run, in out/NAME, what its numbers rest on: settings, episodes, policy, every tenth row of metrics.
+
+    So a figure can be drawn again without the run, and `--commands` counts a run in results/TASK as done.
+    """
     for folder in folders:
-        policy, kept = folder / "policy.npz", out / folder.name
-        if policy.exists() and kept.resolve() != folder.resolve():
-            kept.mkdir(exist_ok=True)
-            run_folder.replace_file(kept / "policy.npz", lambda file, policy=policy: file.write(policy.read_bytes()))
+        if (kept := out / folder.name).resolve() == folder.resolve():
+            continue
+        kept.mkdir(exist_ok=True)
+        for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
+            if not (folder / name).exists():
+                continue
+            data = (folder / name).read_bytes()
+            if name == "metrics.csv":
+                rows = data.splitlines(keepends=True)
+                data = b"".join([*rows[:-1:10], *rows[-1:]])
+            run_folder.replace_file(kept / name, lambda file, data=data: file.write(data))
 
 
 def save(out, what, rows, figure):
@@ -353,7 +365,7 @@ def draw(what, folders, args):
         run_folder.check_writable(out / f"{what}.{suffix}")
     save(out, what, *FIGURES[what](folders, args))
     if args.out:
-        keep_policies(out, folders)
+        keep_runs(out, folders)
 
 
 def print_table(folders, args):
@@ -420,7 +432,7 @@ def main(argv):
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
     parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
-    parser.add_argument("--out", type=Path, help="folder for PNG, CSV and policies (default: here, without policies)")
+    parser.add_argument("--out", type=Path, help="folder for PNG, CSV and what to keep of the runs (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; 0.15 for rough)")

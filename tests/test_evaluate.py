@@ -162,7 +162,7 @@ def scripted(monkeypatch):
 def unsaved(monkeypatch):
     """Instead of files: a list of the rows and figures that would have been saved."""
     made = []
-    monkeypatch.setattr(evaluate, "keep_policies", lambda out, folders: None)
+    monkeypatch.setattr(evaluate, "keep_runs", lambda out, folders: None)
     monkeypatch.setattr(evaluate, "save", lambda out, what, rows, drawn: made.append((rows, drawn)))
     return made
 
@@ -414,19 +414,27 @@ def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
 def test_seeds_says_when_a_reward_was_reached(runs, two_episodes):
     """The reward of iteration i is i / 20, the mean of 20 is (i - 9.5) / 20: at 1.2 in the 34th, at 1.35 in the 37th.
 
-    34 times a hundred steps are 0.0034 million; 60 s an iteration, resumed after 10, are 34 minutes. The policies of a
-    figure are kept beside it, byte by byte, so that play.py can show the gait behind a number; not in their own folder.
+    34 times a hundred steps are 0.0034 million; 60 s an iteration, resumed after 10, are 34 minutes. What a figure
+    rests on is kept beside it: policy, settings, episodes, every tenth row of metrics.csv and the last one, which
+    are too few for these times, but enough for the numbers of the policy without the policy.
     """
     folder = Path(shutil.copytree(runs["flat"], "run"))
     rows = [f"{i},{100 * i},{i / 20},{60 * (i if i <= 10 else i - 10)}" for i in range(1, 36)]
     (folder / "metrics.csv").write_text("\n".join(["iteration,steps,reward,time_s", *rows, ""]))
     run("seeds", folder, "--episodes", 4, "--out", "out")
     (row,) = table("out/seeds.csv")
-    times = [row[f"{unit}_{level}"] for level in (1.2, 1.35) for unit in ("msteps", "minutes")]
-    assert times == ["0.0034", "34", "nan", "nan"]
+    times_of = [f"{unit}_{level}" for level in (1.2, 1.35) for unit in ("msteps", "minutes")]
+    assert [row[name] for name in times_of] == ["0.0034", "34", "nan", "nan"]
     assert {name: float(row[name]) for name in OVERVIEW} == OVERVIEW
-    assert Path("out/run/policy.npz").read_bytes() == (runs["flat"] / "policy.npz").read_bytes()
-    evaluate.keep_policies(Path("out"), [Path("out/run")])
+    kept = Path("out/run")
+    for name in ("policy.npz", "config.json", run_folder.EPISODES):
+        assert (kept / name).read_bytes() == (folder / name).read_bytes()
+    assert [row["iteration"] for row in table(kept / "metrics.csv")] == ["10", "20", "30", "35"]
+    (kept / "policy.npz").unlink()
+    run("seeds", kept, "--episodes", 4, "--out", "out")
+    (again,) = table("out/seeds.csv")
+    assert again | {name: row[name] for name in times_of} == row and {again[name] for name in times_of} == {"nan"}
+    assert len(table(kept / "metrics.csv")) == 4
 
 
 # ---- what goes wrong ----
