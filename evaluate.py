@@ -3,6 +3,7 @@
     python evaluate.py RUN...                    a line per run folder: task performance, falls, speed, power
     python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
     python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
+    python evaluate.py gait RUN... --out DIR     how each run's robot moves its feet; joints: and what its joints do
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
 
 How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda), with its other cost or reward.
@@ -20,6 +21,8 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+import gait
+import joints
 import measure
 import run_folder
 import train
@@ -251,7 +254,7 @@ def seeds(folders, args):
     return rows, figure
 
 
-FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds)}
+FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds, gait.gait, joints.joints)}
 
 
 def keep_policies(out, folders):
@@ -318,6 +321,7 @@ def main(argv):
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
     parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
+    parser.add_argument("--command", type=float, nargs="+", metavar="VX", help="m/s, that gait and joints ask for")
     parser.add_argument("--out", type=Path, help="folder for PNG, CSV and policies (default: here, without policies)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")

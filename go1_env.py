@@ -80,6 +80,7 @@ class Go1Env:
         self.batch = batch = Batch(model, num_envs, threads or cores)
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
+        self.watch = lambda: None  # called after every physics step, for those who measure more than the log holds
         self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
@@ -192,6 +193,7 @@ class Go1Env:
             self.batch.step()  # a joint may exceed the speed that the URDF gives for it (D37)
             fell |= (self.contacts[:, : 13 if self.task.only_feet else 9] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
+            self.watch()
         torques, speeds = np.array(torques), np.array(speeds)
         # A torque changes the speed during a physics step: its power takes the mean of speeds before and after (D17)
         cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)

@@ -30,6 +30,8 @@ LAYERS = {
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),
     "measure": {"numpy", "jax", "scipy"},
+    "gait": {"numpy", "scipy", "matplotlib"},
+    "joints": {"numpy", "matplotlib"},
     "evaluate": {"numpy", "matplotlib"},
     "play": {"numpy", "mujoco", "PIL"},
 }
