@@ -2,6 +2,7 @@
 
     python evaluate.py RUN...                    a line per run folder: task performance, falls, speed, power
     python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
+    python evaluate.py pareto RUN... --out DIR   speed against energy per metre on `velocity`, seed by seed
     python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
     python evaluate.py gait RUN... --out DIR     how each run's robot moves its feet; joints: and what its joints do
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
@@ -51,17 +52,21 @@ ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, wh
 def by_label(folders, task):
     """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
 
-    Raises ValueError if there are none, and for two runs of one kind that differ in more than the seed, or not in it.
+    One kind with two numbers of robots is two kinds. Raises ValueError if there are no runs, and for two runs of one
+    kind that differ in more than the seed, or not in it.
     """
-    groups = {}
-    for folder in map(Path, folders):
-        env_cfg, cfg = run_folder.load_config(folder)
-        if env_cfg.task == task:
-            name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
-            name += " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
-            groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
-    if not groups:
+    configs = {folder: run_folder.load_config(folder) for folder in map(Path, folders)}
+    configs = {folder: both for folder, both in configs.items() if both[0].task == task}
+    if not configs:
         raise ValueError(f"none of the run folders is of the task {task}")
+    sizes = {}
+    for env_cfg, cfg in configs.values():
+        sizes.setdefault(kind(env_cfg, cfg), set()).add(cfg.num_envs)
+    groups = {}
+    for folder, (env_cfg, cfg) in configs.items():
+        name = kind(env_cfg, cfg)
+        name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
+        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
     for name, runs in groups.items():
         (first, settings), *others = runs.items()
         for folder, other in others:
@@ -69,15 +74,20 @@ def by_label(folders, task):
             if differing != ["seed"]:
                 what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
                 raise ValueError(f"{first} and {folder} are both {name} but {what}: give one of them")
-    order = sorted(groups, key=lambda name: KINDS.index(name) if name in KINDS else len(KINDS))
-    return {name: list(groups[name]) for name in order}
+    order = {name: i for i, name in enumerate(KINDS)}
+    return {name: list(groups[name]) for name in sorted(groups, key=lambda x: (order.get(x.split(",")[0], 99), x))}
+
+
+def kind(env_cfg, cfg):
+    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other cost or reward."""
+    name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
+    return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
 
 
 def play(folder, task, commands, each, args):
     """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35)."""
-    roughness, asked = ROUGHNESS.get(task) if args.roughness is None else args.roughness, np.repeat(commands, each, 0)
-    loaded = (measure.load(folder, len(asked), args.clip, roughness, nominal) for nominal in (False, True))
-    return [measure.run_episodes(*policy_env, asked) for policy_env in loaded]
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+    return [measure.episodes(folder, commands, each, args.clip, roughness, nominal) for nominal in (False, True)]
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
@@ -195,9 +205,9 @@ def table1(folders, args):
     """Peak velocity of every lambda as an interquartile mean, beside what the paper prints. Table I."""
     columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
     rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, measure.iqm)  # D26
-    paper = [dict(zip(("paper", "paper_low", "paper_high"), TABLE1.get(row["run"], [np.nan] * 3), strict=True))
-             for row in rows]  # fmt: skip
-    rows = [row | printed for row, printed in zip(rows, paper, strict=True)]
+    for row in rows:
+        printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
+        row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)
     at, figure = np.arange(len(rows))[::-1], Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
     ours = dict(label="ours", fmt="o", color="#0072B2")
@@ -208,6 +218,23 @@ def table1(folders, args):
     axes.set(yticks=at, yticklabels=[row["run"] for row in rows], xlabel="peak velocity [m/s]")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside upper center", ncols=2, fontsize=8)
+    return rows, figure
+
+
+def pareto(folders, args):
+    """Speed over ground against energy per metre on `velocity`, a point for each seed; a large point falls often."""
+    rows, figure = [], Figure(figsize=(6, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for i, (name, runs) in enumerate(by_label(folders, "velocity").items()):
+        mine = [overview(folder, args) for folder in runs]
+        rows += [dict(kind=name) | row for row in mine]
+        x, y, fell = ([row[column] for row in mine] for column in ("energy", "v_x", "fell"))
+        axes.scatter(x, y, 20 + 2000 * np.array(fell), alpha=0.6, label=name, marker="osv^D<>pX*Ph"[i % 12])
+    axes.set(xlabel="energy [J/m]", ylabel="speed over ground [m/s]")
+    axes.grid(alpha=0.3)
+    legend = figure.legend(loc="outside right upper", fontsize=8, title="size: falls")
+    for handle in legend.legend_handles:
+        handle.set_sizes([30])
     return rows, figure
 
 
@@ -254,7 +281,7 @@ def seeds(folders, args):
     return rows, figure
 
 
-FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds, gait.gait, joints.joints)}
+FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, pareto, seeds, gait.gait, joints.joints)}
 
 
 def keep_policies(out, folders):

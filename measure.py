@@ -6,6 +6,10 @@ means, or in Table I interquartile means (D26), with two 95 % bootstrap interval
 seeds, as the paper does. The other resamples the seeds, and so allows for what another training would give.
 """
 
+import gzip
+import io
+import zlib
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,11 +28,14 @@ SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
 
 
+ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
+
+
 class Episodes(NamedTuple):
     """What is measured of N episodes (D42): one number of each, (N,). Speed ahead is over ground (D25, D27)."""
 
     performance: np.ndarray  # [-] sum of the task reward / 1000, Section V-A; the time after a fall counts as 0
-    fell: np.ndarray  # bool, whether the episode ended before the time limit
+    fell: np.ndarray  # 0 or 1, whether the episode ended before the time limit
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     v_x_late: np.ndarray  # [m/s] the same in the second half of the time limit; NaN if the episode ended before it
     power: np.ndarray  # [W] mean of mechanical power, heating and battery, Eq. (9), without the survival bonus (D18)
@@ -50,6 +57,15 @@ def deterministic(params):
     return lambda obs: np.asarray(mean_action(params, obs))
 
 
+def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
+    """The Config in which a policy that was trained with env_cfg is evaluated; other arguments are those of `load`."""
+    return replace(env_cfg, reward="paper", frame="heading", stagger=False,
+                   episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
+                   start_spread=0.0 if nominal else env_cfg.start_spread,
+                   clip=clip or env_cfg.clip, ground_seed=SEED,
+                   roughness=env_cfg.roughness if roughness is None else (roughness, roughness))  # fmt: skip
+
+
 def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads=None):
     """The `deterministic` policy of a run folder, and a Go1Env to try it in, with one robot for each episode.
 
@@ -57,13 +73,8 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads
     nominal: start from the nominal pose at rest, not from random poses and velocities as in training (D35)
     """
     params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
-    if nominal:
-        env_cfg = replace(env_cfg, start_spread=0.0)
-    env_cfg = replace(env_cfg, reward="paper", frame="heading", stagger=False,
-                     episode_steps=EPISODE_STEPS, command_steps=EPISODE_STEPS,
-                     clip=clip or env_cfg.clip, ground_seed=SEED,
-                     roughness=env_cfg.roughness if roughness is None else (roughness, roughness))  # fmt: skip
-    return deterministic(params), go1_env.Go1Env(num_episodes, env_cfg, threads)
+    env = go1_env.Go1Env(num_episodes, evaluated(env_cfg, clip, roughness, nominal), threads)
+    return deterministic(params), env
 
 
 def steps(policy, env, command=None):
@@ -101,6 +112,48 @@ def run_episodes(policy, env, command=None):
     v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
     energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
     return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
+
+
+def episodes(folder, commands, each, clip=None, roughness=None, nominal=False):
+    """The Episodes of a run's policy, each of commands (n, 3) `each` times, one command after the other.
+
+    They are played once. `episodes.csv.gz` in the run folder keeps them, with five digits, for the next figure and for
+    whoever has the folder without its policy. Training deletes it with the next policy. Other arguments: as for `load`.
+    """
+    folder, commands = Path(folder), np.round(commands, 3)
+    world = evaluated(run_folder.load_config(folder)[0], clip, roughness, nominal)
+    asked = np.array([(world.start_spread, *world.roughness, world.clip == "torque", *row) for row in commands])
+    table = unpack(folder / run_folder.EPISODES)
+    mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
+    if any(rows.sum() != each for rows in mine):
+        stamp = run_folder.stamp(folder)
+        played = run_episodes(*load(folder, each * len(asked), clip, roughness, nominal), np.repeat(commands, each, 0))
+        new = np.column_stack([np.repeat(asked, each, 0), *played])
+        data = pack(np.concatenate([table[~np.any(mine, 0)], new]))
+        if stamp == run_folder.stamp(folder):  # a training that saves another policy meanwhile makes these void
+            with suppress(OSError):  # who may not write there plays again the next time
+                run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
+        return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)
+    return Episodes(*np.concatenate([table[rows] for rows in mine])[:, len(ASKED) :].T)
+
+
+def pack(table):
+    """A table (n, columns of ASKED and of Episodes) as the bytes of a compressed CSV."""
+    np.savetxt(text := io.BytesIO(), table, "%.5g", ",", header=",".join((*ASKED, *Episodes._fields)), comments="")
+    return gzip.compress(text.getvalue(), mtime=0)
+
+
+def unpack(file):
+    """The table in a file that `pack` made, empty if the file is missing, damaged or of other columns."""
+    columns = (*ASKED, *Episodes._fields)
+    try:
+        with gzip.open(file, "rt") as text:
+            header, *rows = text.read().split()
+        return np.array([row.split(",") for row in rows if header == ",".join(columns)], float).reshape(
+            -1, len(columns)
+        )
+    except (OSError, EOFError, ValueError, zlib.error):
+        return np.empty((0, len(columns)))
 
 
 def finite_mean(x):

@@ -5,6 +5,7 @@
     checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha, simulations, random generators
     policy.npz       all that it takes to run the policy
     curves.png       the metrics, drawn
+    episodes.csv.gz  every episode that `evaluate.py` has played with this policy
     commands.png     on the task `curriculum`: which commands it has reached
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader finds the old file
@@ -34,6 +35,14 @@ import go1
 import go1_env
 import networks
 import tasks
+
+EPISODES = "episodes.csv.gz"
+
+
+def stamp(folder):
+    """What tells one policy of a run folder from a later one: time and size of policy.npz; None without one."""
+    policy = folder / "policy.npz"
+    return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None
 
 
 def commit():
@@ -143,6 +152,7 @@ def save_policy(path, params, env_cfg):
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
     arrays = weights | units | dict(config=json.dumps(asdict(env_cfg)))
     replace_file(path, lambda file: np.savez(file, **arrays))
+    path.with_name(EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
 
 def load_policy(path):

@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import gzip
 import os
 import shlex
 import shutil
@@ -35,8 +36,16 @@ def short_episodes_elsewhere(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def runs(all_runs):
+    """The folders of `all_runs`, which nobody has evaluated yet."""
+    for folder in all_runs.values():
+        (folder / run_folder.EPISODES).unlink(missing_ok=True)
+    return all_runs
+
+
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def all_runs(tmp_path_factory):
     """Run folders by task and name; those of PPO come first, and not in order, so that evaluate.py has to sort."""
     base, ppo = tmp_path_factory.mktemp("runs"), dict(algo="ppo")
     kinds = dict(flat_ppo=("flat", ppo), flat_ppo_0=("flat", ppo | dict(lam=0.0)), flat=("flat", {}),
@@ -180,6 +189,27 @@ def test_table1_by_hand(runs, scripted, unsaved):
     assert (row["peak"], row["peak_sustained"], row["paper"], row["episodes"]) == (3.75, 4.0, 2.86, 8)
 
 
+def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved, tmp_path):
+    """EIPO with 2N robots gives each policy as many as PPO with N has. The paper's number stands beside both."""
+    more = make_run(tmp_path / "more", "velocity", num_envs=512)
+    run("table1", more, runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, _),) = unsaved
+    assert [(row["run"], row["paper"]) for row in rows] == [
+        ("EIPO, 256 robots", 2.86), ("EIPO, 512 robots", 2.86), ("PPO(0.01)", 1.45)]  # fmt: skip
+
+
+def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
+    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's area is 20 + 250."""
+    run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, figure),) = unsaved
+    assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
+        ("EIPO", 3.75, 3.75),
+        ("PPO(0.01)",) + (3.75,) * 2,
+    ]
+    points = figure.axes[0].collections
+    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(3.75, 3.75, 270)] * 2
+
+
 def test_fig6_by_hand(runs, monkeypatch):
     """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two strides of 17.
 
@@ -274,6 +304,83 @@ def test_clip_and_roughness_reach_the_environment(runs, monkeypatch):
     assert (env.env_cfg.clip, env.env_cfg.roughness, env.num_envs) == ("torque", (0.03, 0.03), 22)
     assert (env.env_cfg.start_spread, nominal.env_cfg.start_spread) == (0.5, 0.0)
     assert np.ptp(env.ground[:, : env.ground.shape[1] // 2]) == pytest.approx(0.03)  # the first tile
+
+
+# ---- episodes are played once ----
+
+
+@pytest.fixture
+def played(monkeypatch):
+    """Instead of episodes: every column of the k-th episode ever played is 1000 k + 1 / 3. A list of how many each."""
+    calls = []
+
+    def run_episodes(policy, env, commands):
+        first = sum(calls)
+        calls.append(env.num_envs)
+        return measure.Episodes(*[1000.0 * (first + np.arange(env.num_envs)) + 1 / 3] * len(measure.Episodes._fields))
+
+    monkeypatch.setattr(measure, "run_episodes", run_episodes)
+    return calls
+
+
+TWO = np.array([[0.1 + 0.2, 0.0, 0.0], [1.0, 0.0, 0.5]])  # commands, the first of which is not quite 0.3
+
+
+def test_episodes_are_played_once(runs, played):
+    """Five digits of 1/3, 1000 1/3, 2000 1/3 and 3000 1/3 are kept, and the file needs no policy beside it.
+
+    What was asked in another way (number, commands, clip, roughness, start) is played, and what is known stays known.
+    """
+    folder = runs["flat"]
+    expected = [0.33333, 1000.3, 2000.3, 3000.3]
+    policy = (folder / "policy.npz").read_bytes()
+    for _ in range(2):
+        assert list(measure.episodes(folder, TWO, 2).v_x) == expected
+        (folder / "policy.npz").unlink(missing_ok=True)
+    assert played == [4]
+    (folder / "policy.npz").write_bytes(policy)
+    others = [dict(clip="torque"), dict(roughness=0.1), dict(nominal=True)]
+    for k, other in enumerate(others):
+        assert measure.episodes(folder, TWO, 2, **other).fell[0] == pytest.approx(4000 * (k + 1) + 1 / 3, abs=0.5)
+    assert list(measure.episodes(folder, TWO[:1], 2).peak) == expected[:2]
+    assert list(measure.episodes(folder, TWO, 2).peak) == expected and played == [4] * 4
+    assert len(measure.episodes(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
+
+
+def test_kept_episodes_equal_those_that_were_played(runs):
+    """NaN included: a robot that falls or stands has no speed in the second half or no J/m."""
+    first, again = (measure.episodes(runs["flat"], TWO, 8) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert np.isnan(first.energy).any() and np.isfinite(first.power).all()
+
+
+def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
+    """Also if it is saved while the episodes of the one before are being played."""
+    folder = runs["flat"]
+    kept = folder / run_folder.EPISODES
+    measure.episodes(folder, TWO, 1)
+    run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+    assert not kept.exists()
+    play = measure.run_episodes
+
+    def meanwhile(*arguments):
+        run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+        return play(*arguments)
+
+    monkeypatch.setattr(measure, "run_episodes", meanwhile)
+    assert len(measure.episodes(folder, TWO, 1).v_x) == 2 and not kept.exists()
+
+
+@pytest.mark.parametrize("data", [b"", b"no gzip", measure.pack(np.ones((3, 17)))[:-9], gzip.compress(b"a,b\n1,2\n")])
+def test_damaged_or_older_episodes_are_played_again(runs, played, data):
+    (runs["flat"] / run_folder.EPISODES).write_bytes(data)
+    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2 and played == [2]
+
+
+def test_a_folder_that_cannot_be_written_is_evaluated_all_the_same(runs, played, monkeypatch):
+    monkeypatch.setattr(run_folder, "replace_file", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
+    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2
+    assert not (runs["flat"] / run_folder.EPISODES).exists()
 
 
 # ---- a line for each run ----

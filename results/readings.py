@@ -1,0 +1,87 @@
+"""Readings of the paper that we do not ship, to be trained and compared: `python results/readings.py READING [flags]`.
+
+The flags are those of `train.py`, and each run gets its own folder with --out. The readings are:
+
+exchange    pi also trains on the rollouts of pi_prime. A borrowed sample weighs min(1, pi / pi_prime), the ratio of the
+            probabilities of its action, and `borrowed` in metrics.csv is the mean of that weight. Algorithm 1 as
+            printed does not do this. The code of EIPO's authors and that of its successor HEPO exchange rollouts
+normalised  the advantages of each stream are normalised before they are mixed, so that alpha lambda_0 = 1 weighs both
+            alike whatever lambda_0 is. The lab's code does so
+fixed       as normalised, with weights 1.5 : 1 for ever; for --algo ppo. The lab's code may have amounted to this
+
+Other readings need no code: `--ent-coef 0.01` is the lab's entropy bonus, `--clip torque` is Eq. (9) as printed, and
+`--lr-alpha 2 --dampening-alpha 0.99` lets alpha move by 1 % of 200 in an iteration.
+"""
+
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import eipo
+import train
+
+
+def normalised(stream):
+    """A stream of advantages with mean 0 and standard deviation 1, any shape."""
+    return (stream - stream.mean()) / (stream.std() + 1e-8)
+
+
+def mix_normalised(advantage, alpha, lam):
+    """`eipo.mix` of normalised streams. With lam = 0 only the task counts, as there."""
+    if lam == 0:
+        return advantage[..., 0]
+    return alpha * lam * normalised(advantage[..., 0]) - normalised(advantage[..., 1])
+
+
+def mix_fixed(advantage, alpha, lam):
+    """`eipo.mix` of normalised streams with the weights 1.5 : 1."""
+    return 1.5 * normalised(advantage[..., 0]) - normalised(advantage[..., 1])
+
+
+def exchange(env, env_prime, cfg, state=None):
+    """`eipo.eipo`, in which pi learns from both rollouts. The comments name the lines that differ."""
+    state = state or eipo.init_state(env, env_prime, cfg)
+    pi, pi_prime, dual, at, at_prime = state[1:]
+    for iteration in range(state.iteration + 1, cfg.iterations + 1):
+        key, key_prime, key_update, key_update_prime = eipo.iteration_keys(cfg, iteration)
+        tau, at, log = eipo.rollout(env, pi.params, at, key, cfg)
+        both_heads = pi_prime.params | dict(critic=pi.params["critic"])  # L7: tau' keeps the cost as well, for pi
+        tau_both, at_prime, log_prime = eipo.rollout(env_prime, both_heads, at_prime, key_prime, cfg)
+        tau_prime = tau_both._replace(reward=tau_both.reward[..., :1])
+
+        est, est_prime = eipo.estimate(pi.params, tau, cfg), eipo.estimate(pi_prime.params, tau_prime, cfg)
+        borrowed = eipo.estimate(pi.params, tau_both, cfg)  # L8: by pi's critic
+        weight = jnp.minimum(1.0, jnp.exp(borrowed.log_prob - est_prime.log_prob))
+        both = eipo.Estimate(*(jnp.concatenate(pair, 1) for pair in zip(est, borrowed, strict=True)))
+        tau_pi = eipo.Rollout(*(jnp.concatenate(pair, 1) for pair in zip(tau[:6], tau_both[:6], strict=True)),
+                              tau.after, tau.final)  # fmt: skip
+        objective = normalised(eipo.mix(both.advantage, dual.alpha, cfg.lam))
+        objective *= jnp.concatenate([jnp.ones_like(weight), weight], 1)
+        pi, trained = eipo.ppo_update(pi, tau_pi, both, objective, key_update, cfg)  # L9: on twice the samples
+
+        task = est_prime.advantage[..., 0]
+        pi_prime, trained_prime = eipo.ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)
+        gap = float(eipo.estimate_J(est) - eipo.estimate_J(est_prime))
+        metrics = eipo.summary(iteration, est, dual, cfg) | dict(gap=gap, borrowed=weight.mean()) | log | trained
+        metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
+        dual = eipo.step_alpha(dual, gap, cfg)
+        yield eipo.State(iteration, pi, pi_prime, dual, at, at_prime), metrics
+
+
+def main(reading, argv):
+    """Train with one reading; returns the exit status."""
+    if reading not in ("exchange", "normalised", "fixed"):
+        print(f"readings.py: unknown reading {reading!r}: choose exchange, normalised or fixed", file=sys.stderr)
+        return 2
+    if reading == "exchange":
+        eipo.eipo = exchange
+    else:
+        eipo.mix = dict(normalised=mix_normalised, fixed=mix_fixed)[reading]
+    return train.main(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main("".join(sys.argv[1:2]), sys.argv[2:]))
