@@ -52,7 +52,7 @@ def draw(figure, seen, joint_range, dt):
     for j, name in enumerate(NAMES):
         leg, kind = divmod(j, 3)
         style = dict(color=gait.COLOURS[leg], linewidth=1)
-        axes[0, kind].plot(time, target[:, j], linestyle=":", **style)
+        axes[0, kind].plot(time, target[:, j], linestyle=":", drawstyle="steps-mid", **style)
         for panel, x in zip(axes[:, kind], (q, qd, torque), strict=True):
             panel.plot(time, x[:, j], label=name[:2], **style)
     limits = joint_range, go1.VELOCITY_LIMIT * [[-1], [1]], go1.TORQUE_LIMIT * [[-1], [1]]

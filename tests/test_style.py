@@ -27,6 +27,7 @@ LAYERS = {
     "go1_env": {"numpy", "mujoco", "scipy"},
     "networks": {"numpy", "jax", "scipy"},
     "eipo": {"numpy", "jax", "optax"},
+    "contract": {"numpy"},
     "run_folder": {"numpy", "jax", "matplotlib"},
     "train": set(),
     "measure": {"numpy", "jax", "scipy"},
