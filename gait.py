@@ -170,7 +170,8 @@ def played(folders, args):
         task = run_folder.load_config(folder)[0].task
         asks = tasks.TASKS[task].curriculum or tasks.TASKS[task].command_high[0]
         speeds = args.command or (COMMANDS if asks else (0.0,))
-        policy, env = measure.load(folder, max(1, args.episodes // len(speeds)), args.clip, args.roughness)
+        robots = max(1, args.episodes // len(speeds))
+        policy, env = measure.load(folder, robots, args.clip, args.roughness, robot=args.robot)
         for v_x in speeds:
             command = np.array([v_x, 0.0, 0.0])
             if warning := tasks.untrained(task, command):

@@ -26,6 +26,7 @@ import mujoco.viewer
 import numpy as np
 from PIL import Image, ImageDraw
 
+import adopt
 import go1
 import go1_env
 import measure
@@ -40,11 +41,11 @@ AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the 
 SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF; four seconds on rough ground take 2 MB
 
 
-def make_env(env_cfg, roughness=None):
-    """One robot on one tile, whose episode has no time limit. roughness: [m], or None for the greatest of the run."""
+def make_env(env_cfg, roughness=None, robot=None):
+    """One robot on one tile, without a time limit. roughness: [m], or None for the greatest of the run."""
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(env_cfg, **changes), threads=1)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes), 1, robot)
 
 
 def play(env, folder, command, follow=False):
@@ -72,7 +73,7 @@ def make_scene(env):
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
-    model = go1.build_model(env.env_cfg.timestep, ground)
+    model = go1.build_model(env.env_cfg.timestep, ground, env.robot)
     model.vis.map.force, model.vis.rgba.contactforce[:3] = NEWTON, np.array(ORANGE) / 255
     return model, mujoco.MjData(model)
 
@@ -156,8 +157,8 @@ def writable(path):
     return path
 
 
-def main(argv):
-    """Play or draw; returns the exit status."""
+def parse(argv):
+    """The arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", help="run folder with a policy.npz")
     parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
@@ -165,13 +166,19 @@ def main(argv):
     parser.add_argument("--command", type=float, nargs=3, metavar=("VX", "VY", "YAW"),
                         help="m/s, m/s, rad/s (default: the task's greatest)")  # fmt: skip
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
+    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (adopt.py)")
     parser.add_argument("--slow", type=float, default=1.0, help="show it so many times slower (default: 1)")
     parser.add_argument("--forces", action="store_true", help="draw the forces of the ground on the robot")
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
-    args = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def main(argv):
+    """Play or draw; returns the exit status."""
+    args = parse(argv)
     try:
         _, env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")
-        env = make_env(env_cfg, args.roughness)
+        env = make_env(env_cfg, args.roughness, args.model and adopt.read_robot(args.model))
         greatest = (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high
         command = np.array(greatest if args.command is None else args.command, float)
         if not np.isfinite(command).all() or not 0.1 <= args.seconds <= 600 or not 0.1 <= args.slow <= 100:

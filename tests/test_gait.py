@@ -244,7 +244,7 @@ def test_files_of_the_two_commands(runs, capsys, what, flags, asked):
                                               ("velocity", 0.5, True), ("curriculum", 1.5, False)])  # fmt: skip
 def test_a_command_that_was_not_trained_is_a_warning(runs, capsys, task, v_x, warns):
     """Section IV-A: 0 to 1 m/s on flat ground, none for velocity, up to 10 m/s with the curriculum."""
-    args = SimpleNamespace(command=[v_x], episodes=1, clip=None, roughness=0.0)
+    args = SimpleNamespace(command=[v_x], episodes=1, clip=None, roughness=0.0, robot=None)
     ((_, asked, env, _),) = gait.played([runs[task]], args)
     assert asked == v_x and env.state.command.tolist() == [[v_x, 0, 0]]
     lines = capsys.readouterr().err.splitlines()
