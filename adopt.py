@@ -88,12 +88,17 @@ def read_robot(path):
 
     Raises ValueError, in one line, for a file that is no model and for a model that is no Go1.
     """
-    their, world = mujoco.MjSpec.from_file(str(path)), mujoco.MjSpec.from_file(str(go1.MODEL))
+    try:
+        their = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"{path} is no model that MuJoCo can read: {error}") from None
     rename(find(their, path))
+    for part in (*their.actuators, *their.sensors, *their.keys):
+        their.delete(part)
+    world = mujoco.MjSpec.from_file(str(go1.MODEL))
     world.delete(world.body("trunk"))  # and all that refers to it
+    world.delete(world.keys[0])
     trunk = world.worldbody.add_frame().attach_body(their.body("trunk"), "their/", "")
-    for part in (*world.actuators, *world.sensors, *world.keys):
-        world.delete(part)
     put_in_order(world, trunk)
     if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in trunk.joints):
         trunk.add_freejoint()

@@ -73,7 +73,7 @@ def robust(folders, args):
 def draw(rows):
     """A column for each parameter: task performance, or speed on velocity, and falls; a line for each run."""
     figure = Figure(figsize=(3 * len(PARAMETERS), 5), layout="constrained")
-    axes = figure.subplots(2, len(PARAMETERS), sharex="col", sharey="row")
+    axes = figure.subplots(2, len(PARAMETERS), sharex="col", sharey="row", squeeze=False)
     for column, parameter in zip(axes.T, PARAMETERS, strict=True):
         for name in dict.fromkeys(row["run"] for row in rows):
             mine = [row for row in rows if (row["run"], row["parameter"]) == (name, parameter)]
