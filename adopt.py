@@ -68,11 +68,13 @@ def put_in_order(world, trunk):
 
 def set_contacts(world):
     """Let all that collides collide with the ground alone, as go1.xml does, and sense it in the same order."""
+    visible = {geom.parent.name for geom in world.geoms if geom.group < 3}
     for geom in world.geoms:
         if geom.parent.name != "world" and (geom.contype or geom.conaffinity):
             foot = geom.name in [f"{leg}_foot" for leg in go1.LEGS]
             geom.contype, geom.conaffinity, geom.condim, geom.margin, geom.gap = 0, 1, 3, 0.0, 0.0
             geom.priority, geom.friction = int(foot), FOOT_FRICTION if foot else FRICTION
+            geom.group = geom.group if geom.parent.name in visible else 2  # a leg without looks is drawn as it collides
             geom.solref, geom.solimp = world.geom("floor").solref, world.geom("floor").solimp
     parts = [f"{leg}_{part}" for leg in go1.LEGS for part in ("hip", "thigh")]
     body, geom = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
@@ -96,10 +98,13 @@ def read_robot(path):
     for part in (*their.actuators, *their.sensors, *their.keys):
         their.delete(part)
     world = mujoco.MjSpec.from_file(str(go1.MODEL))
+    sun = {name: getattr(world.light("sun"), name) for name in ("mode", "type", "pos", "dir", "diffuse", "castshadow")}
     world.delete(world.body("trunk"))  # and all that refers to it
     world.delete(world.keys[0])
+    their.option = world.option
     trunk = world.worldbody.add_frame().attach_body(their.body("trunk"), "their/", "")
     put_in_order(world, trunk)
+    trunk.add_light(**sun)  # of go1.xml, so that play.py shows something
     if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in trunk.joints):
         trunk.add_freejoint()
     names = [f"{leg}_{kind}" for leg in go1.LEGS for kind in JOINTS]

@@ -111,6 +111,9 @@ def test_what_is_theirs_and_what_is_ours(other):
     collide = [model.geom(i) for i in range(model.ngeom) if model.geom_conaffinity[i]]
     assert len(collide) == 1 + 4 * 5 and {int(geom.contype[0]) for geom in collide} == {0}
     assert {int(geom.condim[0]) for geom in collide} == {3} and {float(geom.margin[0]) for geom in collide} == {0}
+    legs = [geom for geom in collide if geom.bodyid > 1]  # have no looks, so that they are drawn as they collide
+    assert len(legs) == 20 and {int(geom.group[0]) for geom in legs} == {2} and model.geom_group.tolist().count(3) == 1
+    assert model.nlight == 1 == ours.nlight and model.light_castshadow[0]
     feet = [model.geom(f"{leg}_foot") for leg in LEGS]
     assert all(foot.solimp.tolist() == ours.geom("FR_foot").solimp.tolist() and foot.priority == 1 for foot in feet)
 
@@ -176,12 +179,13 @@ def test_a_model_that_does_not_exist_is_one_line(tmp_path, capsys):
     assert "none.xml" in error_of(capsys, evaluate.main, make_run(tmp_path / "run"), "--model", "none.xml")
 
 
-def test_evaluate_and_play_take_it(other, tmp_path, capsys, monkeypatch):
+def test_evaluate_and_play_take_it(other, tmp_path, capfd, monkeypatch):
     """The robot of the file is the one that is measured and drawn; its episodes are not kept as if it were ours."""
     folder, seen = make_run(tmp_path / "run", action=0.0), []
     episodes = measure.run_episodes
     monkeypatch.setattr(measure, "run_episodes", lambda *x: seen.append(x[1]) or episodes(*x))
     assert evaluate.main([str(folder), "--model", str(other), "--episodes", "11"]) == 0
+    assert capfd.readouterr().err == ""  # nor does MuJoCo complain of their settings of the solver
     assert {round(env.trunk.mass[0], 3) for env in seen} == {5.204} and len(seen) == 2
     assert not (folder / run_folder.EPISODES).exists()
     monkeypatch.setattr(play, "HEADLESS", False)
