@@ -25,6 +25,7 @@ from networks import init_mlp, log_prob, policy, value
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
+GIVE_UP = 10  # [ours] training ends with an error after so many iterations without one finite gradient (D44)
 
 
 @dataclass(frozen=True)
@@ -123,11 +124,12 @@ class Rollout(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What lines 8 and 10 estimate from a rollout."""
+    """What lines 8 and 10 estimate from a rollout. A sample that is not finite is replaced by one beside it (D44)."""
 
     advantage: jax.Array  # (T, N, K) of each stream, never normalised
     target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
     log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
+    sample: jax.Array  # (T, N) which sample stands here: 0 to T N - 1 in order, where none was replaced
 
 
 # ---- Algorithm 1 ----
@@ -143,7 +145,7 @@ def eipo(env, env_prime, cfg, state=None, line_13=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = state or init_state(env, env_prime, cfg)
+    state = sound(state or init_state(env, env_prime, cfg), cfg)
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
     at, at_prime = state.at, state.at_prime
@@ -164,13 +166,13 @@ def eipo(env, env_prime, cfg, state=None, line_13=None):
         metrics = summary(iteration, est, dual, cfg) | dict(gap=gap) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
         dual = (line_13 or step_alpha)(dual, gap, cfg)  # Alg.1 L13
-        yield State(iteration, pi, pi_prime, dual, at, at_prime), metrics
+        yield sound(State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
     # Alg.1 L14  end for
 
 
 def ppo(env, cfg, state=None):
     """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
-    state = state or init_state(env, None, cfg)
+    state = sound(state or init_state(env, None, cfg), cfg)
     pi, dual, at = state.pi, state.dual, state.at
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(cfg, iteration)
@@ -178,7 +180,18 @@ def ppo(env, cfg, state=None):
         est = estimate(pi.params, tau, cfg)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
         pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
-        yield State(iteration, pi, None, dual, at, None), summary(iteration, est, dual, cfg) | log | trained
+        state = sound(State(iteration, pi, None, dual, at, None), cfg)
+        yield state, summary(iteration, est, dual, cfg) | log | trained
+
+
+def sound(state, cfg):
+    """state. Raises ValueError, in one line, if training cannot go on from it (D44)."""
+    if state.pi_prime and not np.isfinite(state.dual).all():
+        raise ValueError(f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}")
+    for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
+        if learner and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches:
+            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and costs finite?")
+    return state
 
 
 def iteration_keys(cfg, iteration):
@@ -289,7 +302,12 @@ def estimate(params, tau, cfg):
         next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
     advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
     mean, std, _ = policy(params, tau.obs)
-    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
+    likely = log_prob(mean, std, tau.action)
+    finite = jnp.isfinite(advantage).all(-1) & jnp.isfinite(likely)
+    sample = jnp.where(finite.ravel(), jnp.arange(finite.size), finite.argmax())
+    sample = jax.lax.cummax(sample).reshape(finite.shape)  # the last finite one, or the first where none came before
+    at = jnp.unravel_index(sample, finite.shape)
+    return Estimate(advantage[at], (advantage + values)[at], likely[at], sample)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
@@ -338,9 +356,9 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
                 target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
-    size = advantage.size
+    size, sample = advantage.size, estimate.sample.ravel()
     data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
-    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(jax.random.split(key, cfg.num_epochs))
+    orders = jax.vmap(lambda k: jax.random.permutation(k, sample))(jax.random.split(key, cfg.num_epochs))
     minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
     def step(learner, chosen):
@@ -353,6 +371,7 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
 
     learner, log = jax.lax.scan(step, learner, minibatches)
     log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
+    log |= dict(dropped=(sample != jnp.arange(size)).sum())  # samples; `skipped` are minibatches, since the start
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 

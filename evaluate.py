@@ -332,19 +332,21 @@ def missing_runs(what, flags):
     for task, setting in SWEEPS[what]:
         for seed in range(3):
             argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            if (so_far := progress(argv)) != "done":
+            if (so_far := progress(argv)) not in ("running", "done"):
                 yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
 
 
 def progress(argv):
-    """How far the run of these train.py arguments is: "" if it has not begun, "started" or "done"."""
+    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started" or "done"."""
     options, given_env, given_learner = train.parse(argv)
     env_cfg, cfg = train.settle(given_env, given_learner)
     folder = train.run_path(train.Options(**options), env_cfg, cfg)
+    if run_folder.running(folder):
+        return "running"
     if not (folder / "checkpoint.npz").exists():
         return ""
     train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
-    done = len(run_folder.read_metrics(folder).get("iteration", ()))
+    done = run_folder.read_metrics(folder).get("iteration", [0])[-1]
     return "done" if done >= cfg.iterations else "started"
 
 

@@ -49,6 +49,11 @@ FRAME_MIRROR = block_diag(np.diag([1, -1, 1, 1, -1, -1]), go1.MIRROR, go1.MIRROR
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
+def cores():
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+
+
 class Go1Env:
     """`num_envs` Go1 robots on one task.
 
@@ -77,8 +82,7 @@ class Go1Env:
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        self.batch = batch = Batch(model, num_envs, threads or cores)
+        self.batch = batch = Batch(model, num_envs, threads or cores())
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
         self.watch = lambda: None  # called after every physics step, for those who measure more than the log holds

@@ -7,20 +7,22 @@
     curves.png       the metrics, drawn
     episodes.csv.gz  every episode that `evaluate.py` has played with this policy
     commands.png     on the task `curriculum`: which commands it has reached
+    lock             empty; a process that trains here holds it
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader finds the old file
 or the new one. What cannot be read raises ValueError with one line that says why.
 """
 
-import csv
 import itertools
 import json
 import os
 import platform
 import shlex
 import subprocess
+import sys
 import time
 import zipfile
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -37,7 +39,13 @@ import go1_env
 import networks
 import tasks
 
+try:
+    import fcntl
+except ImportError:
+    fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
+
 EPISODES = "episodes.csv.gz"
+JAX_THREADS = "PJRT_NPROC"  # environment variable: JAX's threads on a CPU, which the last digit of a product depends on
 
 
 def stamp(folder):
@@ -65,12 +73,38 @@ def replace_file(path, write):
     os.replace(temporary, path)
 
 
-def save_config(folder, env_cfg, cfg, argv, resume=False):
-    """Write config.json: both Configs, and one more entry that says how, with what and where the run was started."""
+@contextmanager
+def lock(folder):
+    """Keep the run folder to this process, until it ends in whatever way. ValueError if another process has it."""
+    with open(folder / "lock", "a") as file:
+        try:
+            if fcntl:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder} is being trained by another process: wait for it or stop it") from None
+        except OSError as error:  # some network drives have no locks
+            print(f"{folder} cannot be locked ({error}): let no other process train there", file=sys.stderr)
+        yield
+
+
+def running(folder):
+    """Whether a process is training in the folder."""
+    try:
+        with lock(folder):
+            return False
+    except (ValueError, FileNotFoundError) as error:
+        return isinstance(error, ValueError)
+
+
+def save_config(folder, env_cfg, cfg, command, resume=False):
+    """Write config.json: both Configs, and one more entry that says how, with what and where the run was started.
+
+    command: list of the words that were typed; resume: whether to keep the entries of earlier starts
+    """
     starts = json.loads((folder / "config.json").read_text())["starts"] if resume else []
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
-    about = dict(command=shlex.join(["python", "train.py", *argv]), commit=commit(), machine=machine, versions=versions)
+    about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
     record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
@@ -102,13 +136,34 @@ def read_npz(path):
         raise ValueError(f"{path} is damaged or was not written by train.py: {error}") from None
 
 
-def save_checkpoint(path, state, envs):
-    """Write checkpoint.npz: learners, optimisers, alpha, and the simulations and random generator of each of envs."""
+def checkpoint_arrays(state, envs):
+    """All that the next iteration depends on: the leaves of the State, and what each of envs saves, by name."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
-    for i, env in enumerate(envs):
-        arrays |= {f"env{i}.{name}": x for name, x in env.save().items()}
+    return arrays | {f"env{i}.{name}": x for i, env in enumerate(envs) for name, x in env.save().items()}
+
+
+def save_checkpoint(path, state, envs, cfg):
+    """Write checkpoint.npz: learners, optimisers, alpha, and the simulations and random generator of each of envs.
+
+    The entry `settings` is both Configs and the number of JAX's threads, as JSON.
+    """
+    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), jax_threads=os.environ.get(JAX_THREADS))
+    arrays = checkpoint_arrays(state, envs) | dict(settings=json.dumps(settings))
     replace_file(path, lambda file: np.savez(file, **arrays))
+
+
+def check_settings(folder, env_cfg, cfg):
+    """The number of JAX's threads, as text, with which the checkpoint was trained; None if it does not say.
+
+    Raises ValueError if the Configs, which are those of config.json, are not those with which it was trained.
+    """
+    trained = json.loads(str(read_npz(folder / "checkpoint.npz").get("settings", "{}")))
+    for part, config in (("env", env_cfg), ("learner", cfg)):
+        for name, was in tuples(trained.get(part, {})).items():
+            if name != "iterations" and (x := getattr(config, name)) != was:  # --resume may raise iterations
+                raise ValueError(f"{folder / 'config.json'} says {name} {x}, but the run has {was}: set it back")
+    return trained.get("jax_threads")
 
 
 def load_checkpoint(path, template, envs):
@@ -117,16 +172,18 @@ def load_checkpoint(path, template, envs):
 
     def restore(key, like):
         found = arrays["state" + jax.tree_util.keystr(key)]
-        if found.shape != np.shape(like):
-            raise ValueError(f"{key} has shape {found.shape}, not {np.shape(like)}")
         found = found if isinstance(like, np.ndarray | jax.Array) else found.item()
         return jnp.asarray(found) if isinstance(like, jax.Array) else found
 
     try:
+        for name, like in checkpoint_arrays(template, envs).items():
+            kinds = [f"{x.dtype.type.__name__} {x.shape}" for x in (arrays[name], like)]
+            if kinds[0] != kinds[1]:
+                raise ValueError(f"{name} is {kinds[0]}, not {kinds[1]}")
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
             env.load({name.removeprefix(f"env{i}."): x for name, x in arrays.items() if name.startswith(f"env{i}.")})
-    except (KeyError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a checkpoint of this run: {error}") from None
     return state
 
@@ -191,28 +248,53 @@ class Log:
     """metrics.csv, which grows by a row in each iteration."""
 
     def __init__(self, folder, done):
-        """done: iterations behind us. Later rows are dropped, because their iterations will be computed again."""
-        self.path, self.done, self.start = folder / "metrics.csv", done, time.monotonic()
-        kept = self.path.read_text().splitlines(keepends=True)[: done + 1] if done else []
-        if done and len(kept) < done + 1:
-            raise ValueError(f"{self.path} has lost rows: it ends before iteration {done}, where the checkpoint is")
-        replace_file(self.path, lambda file: file.write("".join(kept).encode()))
+        """done: iterations behind us. Later rows are dropped, because their iterations will be computed again.
+
+        The run does not need the earlier ones: if some are missing, it goes on, and a line on stderr says so.
+        """
+        self.path, self.done, self.start, self.names = folder / "metrics.csv", done, time.monotonic(), None
+        rows = whole_rows(self.path) if done and self.path.exists() else []
+        self.kept = list({row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values())
+        if missing := done - len(self.kept):
+            print(f"{self.path} lacks {missing} of {done} rows: the run goes on without them", file=sys.stderr)
 
     def row(self, iteration, metrics):
         """Write one row, and return it as a dict. Time counts from the last start or resumption."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
-        with open(self.path, "a", newline="") as file:  # closed at once: a row is on disk before its checkpoint
-            csv.writer(file, lineterminator="\n").writerows(([row] if iteration == 1 else []) + [row.values()])
+        if not self.names or not self.path.exists():
+            self.names = list((self.kept[0] if self.kept else {}) | row)  # another version may have other columns
+            lines = map(self.line, [dict(zip(self.names, self.names, strict=True)), *self.kept])
+            replace_file(self.path, lambda file: file.write("".join(lines).encode()))
+        with open(self.path, "a", newline="") as file:
+            file.write(self.line(row))
         return row
+
+    def line(self, row):
+        """A row as text."""
+        return ",".join(str(row.get(name, "nan")) for name in self.names) + "\n"
+
+    def sync(self):
+        """Wait until all rows are on the disk. Then a checkpoint may follow them there."""
+        with open(self.path, "a") as file:
+            os.fsync(file.fileno())
+
+
+def whole_rows(path):
+    """The rows of metrics.csv as dicts of text, without what a crash or a full disk has torn."""
+    names, *rows = (line.split(",") for line in path.read_text(errors="replace").split("\n")[:-1] or [""])
+    rows = [dict(zip(names, row, strict=True)) for row in rows if len(row) == len(names)]
+    return [row for row in rows if row.get("iteration", "").isdecimal()]
 
 
 def read_metrics(folder):
     """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no row yet."""
-    with open(folder / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+    rows = whole_rows(folder / "metrics.csv")
+    try:
+        return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+    except ValueError as error:
+        raise ValueError(f"{folder / 'metrics.csv'} is damaged: {error}") from None
 
 
 def draw_curves(folder):

@@ -2,19 +2,43 @@
 
 Every field of three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. The files
 of a run folder are listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on from its last
-checkpoint with --resume. On the same number of cores it ends with the same bits as one that was never stopped.
+checkpoint with --resume. It ends with the same bits as one that was never stopped.
 """
 
 import argparse
 import inspect
+import os
 import re
 import shlex
 import signal
+import socket
 import sys
+import threading
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
+
+
+def say(text, file=None, end="\n"):
+    """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal may be closed."""
+    try:
+        print(text, file=file, end=end, flush=True)
+    except OSError:
+        os.dup2(2, 1)  # from here on stdout is stderr, which may still reach someone
+
+
+def stop_at_once(why):
+    """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or crash in them."""
+    say(f"\nStopped at once: {why}", sys.stderr)
+    os._exit(130)
+
+
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+    signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))  # imports take seconds
+
+import jax
 
 import eipo
 import go1_env
@@ -115,40 +139,66 @@ def prepare(options, given_env, given_learner):
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
-    elif (folder / "checkpoint.npz").exists():
-        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
     eipo.check(cfg)
     tasks.check(cfg.num_envs, env_cfg, options.threads)
     folder.mkdir(parents=True, exist_ok=True)
     return folder, env_cfg, cfg
 
 
-def save(folder, state, envs, params):
+def repeat_arithmetic(threads):
+    """Make JAX compute the same bits again: in float32, with as many threads as before (None: one for every core).
+
+    The last digit of its matrix products depends on the number of its threads, whatever the number of cores.
+    """
+    jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
+    name, cores = run_folder.JAX_THREADS, str(go1_env.cores())
+    now = os.environ.setdefault(name, threads or cores)
+    if threads and now != threads:
+        say(f"{name} is {now} but was {threads} when this run began: last digits will differ", sys.stderr)
+    elif threads and now != cores:
+        say(
+            f"JAX keeps the {now} threads of this run, for the same bits; {name}={cores} is one for each core",
+            sys.stderr,
+        )
+
+
+def save(folder, state, envs, cfg, params):
     """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain MLPs."""
-    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs)
+    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
-    run_folder.draw_curves(folder)
-    if envs[0].task.curriculum:
-        run_folder.draw_commands(folder, envs[0].state.weights)
+    try:
+        run_folder.draw_curves(folder)
+        if envs[0].task.curriculum:
+            run_folder.draw_commands(folder, envs[0].state.weights)
+    except Exception as error:  # whatever it is, a picture is not worth a run
+        say(f"train.py: no picture was drawn: {' '.join(str(error).split())}", sys.stderr)
 
 
-def report(row, iterations):
-    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for one row in 100."""
-    iteration, rate = row["iteration"], row["steps_per_s"]
-    left = (iterations - iteration) * row["steps"] / iteration / max(rate, 0.1) / 60
+def report(row, first, iterations):
+    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for one row in 100.
+
+    The time left takes the mean of all iterations since `first`, the first row of this process, which also compiled.
+    """
+    iteration, timed = row["iteration"], row["iteration"] - first["iteration"]
+    seconds = (iterations - iteration) * (row["time_s"] - first["time_s"]) / max(1, timed)
+    left = f"{seconds / 60:.0f} min left  " if timed else ""
     line = (
-        f"{iteration}/{iterations}  {rate:.0f} steps/s  {left:.0f} min left  task {row['reward']:.2f}  "
+        f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {row['reward']:.2f}  "
         f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
         + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
     )
     if sys.stdout.isatty():
-        print(f"\r{line}\x1b[K", end="", flush=True)
+        say(f"\r{line}\x1b[K", end="")
     elif iteration % 100 == 0 or iteration == iterations:
-        print(line, flush=True)
+        say(line)
 
 
-def train(folder, env_cfg, cfg, options, argv, asked):
-    """Train from the start or the checkpoint to the end, or until `asked` is not empty; returns the last iteration."""
+def train(folder, env_cfg, cfg, options, command, stop):
+    """Train from the start or the checkpoint to the end, or until `stop.asked`; returns the last iteration."""
+    checkpoint = folder / "checkpoint.npz"
+    if checkpoint.exists() and not options.resume:
+        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
+    repeat_arithmetic(run_folder.check_settings(folder, env_cfg, cfg) if options.resume else None)
     policies = 2 if cfg.algo == "eipo" else 1
     envs = [go1_env.Go1Env(cfg.num_envs // policies, env_cfg, options.threads) for _ in range(policies)]
     if policies == 2:
@@ -156,56 +206,81 @@ def train(folder, env_cfg, cfg, options, argv, asked):
     env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
     state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
     if options.resume:
-        state = run_folder.load_checkpoint(folder / "checkpoint.npz", state, envs)
+        state = run_folder.load_checkpoint(checkpoint, state, envs)
     log = run_folder.Log(folder, state.iteration)
-    run_folder.save_config(folder, env_cfg, cfg, argv, options.resume)
-    print(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
+    run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
+    say(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
     run = eipo.eipo(env, env_prime, cfg, state) if policies == 2 else eipo.ppo(env, cfg, state)
+    first = None
     for state, metrics in run:
-        report(log.row(state.iteration, {name: float(x) for name, x in metrics.items()}), cfg.iterations)
-        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
-            save(folder, state, envs, env.dense(state.pi.params))
-        if asked:
+        stop.worth_saving = True
+        row = log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
+        report(row, first := first or row, cfg.iterations)
+        if stop.asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
+            log.sync()
+            save(folder, state, envs, cfg, env.dense(state.pi.params))
+        if stop.asked:
             break
     return state.iteration
 
 
 @contextmanager
-def stop_at_boundary():
-    """Yields a list that is empty until Ctrl-C or SIGTERM asks for a stop. After that, Ctrl-C stops at once."""
-    asked = []
+def stop_at_boundary(folder):
+    """Yields a namespace whose `asked` turns True when Ctrl-C, SIGTERM or SIGHUP asks for a stop after this iteration.
 
-    def ask(number, frame):
-        asked.append(number)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    Asked again, or before the first iteration has set `worth_saving`, the process ends at once. A thread sees to that:
+    a signal handler in Python would have to wait for the C++ that compiles.
+    """
+    stop = SimpleNamespace(asked=False, worth_saving=False)
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]  # nohup ignores SIGHUP
+    receive, send = socket.socketpair()
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    def listen():
+        with receive:
+            while number := receive.recv(1):
+                if number[0] in numbers and stop.worth_saving and not stop.asked:
+                    stop.asked = True
+                    say("\nStopping after this iteration. Ctrl-C again stops at once")
+                elif number[0] in numbers:
+                    resumable = (folder / "checkpoint.npz").exists()
+                    stop_at_once("--resume goes on from the last checkpoint" if resumable else "there is no checkpoint")
+
+    send.setblocking(False)
+    threading.Thread(target=listen, daemon=True).start()
+    wakeup, before = signal.set_wakeup_fd(send.fileno()), {n: signal.signal(n, lambda *_: None) for n in numbers}
     try:
-        yield asked
+        yield stop
     finally:
+        signal.set_wakeup_fd(wakeup)
         for number, handler in before.items():
             signal.signal(number, handler)
+        send.close()
+
+
+def command_line(argv):
+    """The words that started this process, with the flags that train.py got: those of a script that wraps it, too."""
+    if set(argv) <= set(sys.orig_argv):
+        return sys.orig_argv
+    return sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1] + argv
 
 
 def main(argv):
     """Parse, train, report. Returns the exit status."""
     given_options, given_env, given_learner = parse(argv)
-    options = Options(**given_options)
+    options, command = Options(**given_options), command_line(argv)
     try:
         folder, env_cfg, cfg = prepare(options, given_env, given_learner)
-        with stop_at_boundary() as asked:
-            done = train(folder, env_cfg, cfg, options, argv, asked)
-    except KeyboardInterrupt:
-        print("\nStopped at once; --resume goes on from the last checkpoint", file=sys.stderr)
-        return 130
+        with run_folder.lock(folder), stop_at_boundary(folder) as stop:
+            done = train(folder, env_cfg, cfg, options, command, stop)
     except (ValueError, OSError) as error:
-        print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr)
+        say(f"train.py: {' '.join(str(error).split())}", sys.stderr)
         return 2
     if done < cfg.iterations:
-        again = shlex.join(["python", "train.py", "--out", str(folder), "--resume"])
-        print(f"\nStopped after iteration {done}. Continue with: {again}")
+        again = shlex.join([*command, *([] if options.resume else ["--resume"])])
+        say(f"\nStopped after iteration {done}. Continue with: {again}")
         return 130
-    print(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
+    say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
     return 0
 
 

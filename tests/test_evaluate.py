@@ -560,11 +560,20 @@ def test_finished_runs_are_left_out_and_interrupted_ones_resumed(sweep):
     assert sweep("fig6", "--iterations", 4) == [f"{every[1]} --resume", *every[2:]]
 
 
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_runs_that_are_running_are_left_out(sweep, checkpoint):
+    every = sweep("fig6")
+    folder = fake_run(every[0], 3, checkpoint)
+    with run_folder.lock(folder):
+        assert sweep("fig6") == every[1:]
+    assert len(sweep("fig6")) == len(every)
+
+
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):
     """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
     folder = fake_run(sweep("fig2")[-1], 3999)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("iteration\n" + "0\n" * 4000)
+    (folder / "metrics.csv").write_text("iteration\n1\n4000\n")  # rows may be lost
     assert len(sweep("fig2")) == 8
     assert sweep("fig2", "--iterations", 4001)[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
 

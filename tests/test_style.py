@@ -30,7 +30,7 @@ LAYERS = {
     "eipo": {"numpy", "jax", "optax"},
     "contract": {"numpy"},
     "run_folder": {"numpy", "jax", "matplotlib"},
-    "train": set(),
+    "train": {"jax"},
     "measure": {"numpy", "jax", "scipy"},
     "robust": {"numpy", "mujoco", "matplotlib"},
     "gait": {"numpy", "scipy", "matplotlib"},

@@ -1,17 +1,21 @@
 """The command line and the run folder: whatever stops a run, its numbers come out the same."""
 
 import json
+import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 from support import DAMAGES, ROOT, TINY, contents, error_of
 
 import evaluate
+import go1_env
 import measure
 import run_folder
 import train
@@ -43,15 +47,25 @@ def finished(tmp_path_factory):
     return folder
 
 
+def start(*argv, **variables):
+    """Start train.py as a process of its own, with these environment variables; returns it."""
+    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, ROOT / "train.py", *map(str, argv)], env=os.environ | variables, **pipes)
+
+
 def start_and_wait(folder, iterations=20, until=5):
     """Start the same run as a process of its own; returns it when metrics.csv holds `until` iterations."""
-    flags = [*FLAGS, "--iterations", str(iterations), "--out", str(folder)]
-    process = subprocess.Popen([sys.executable, ROOT / "train.py", *flags], stdout=subprocess.PIPE, text=True)
-    metrics = folder / "metrics.csv"
+    process, metrics = start(*FLAGS, "--iterations", iterations, "--out", folder), folder / "metrics.csv"
     while not metrics.exists() or metrics.read_text().count("\n") < until + 1:
         assert process.poll() is None, "the run ended before it could be stopped"
         time.sleep(0.002)
     return process
+
+
+def copy(finished, folder):
+    """The same run in another folder, which exists."""
+    for name, content in contents(finished).items():
+        (folder / name).write_bytes(content)
 
 
 def test_two_iterations_fill_the_run_folder(tmp_path):
@@ -65,13 +79,14 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
         "checkpoint.npz",
         "policy.npz",
         "curves.png",
+        "lock",
     }
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
     assert [row[0] for row in rows(tmp_path / "mine")] == ["iteration", "1", "2"]
     record = json.loads((tmp_path / "mine" / "config.json").read_text())
     assert (record["learner"]["iterations"], record["learner"]["lam"], record["env"]["history"]) == (2, 0.005, 2)
     (start,) = record["starts"]
-    assert "--iterations 2" in start["command"] and start["versions"]["mujoco"]
+    assert start["command"] == shlex.join(map(str, command)) and start["versions"]["mujoco"]
 
 
 def test_equal_seeds_equal_runs_with_any_number_of_threads(finished, tmp_path):
@@ -81,24 +96,95 @@ def test_equal_seeds_equal_runs_with_any_number_of_threads(finished, tmp_path):
     assert rows(tmp_path / "other")[3] != rows(finished)[3]
 
 
-def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_path):
+def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_path, capsys):
+    """While the process lives, nobody else can train in its folder; kill -9 frees it."""
     process = start_and_wait(tmp_path)
+    process.send_signal(signal.SIGSTOP)
+    before = contents(tmp_path)
+    for flags in ["--resume"], FLAGS:
+        assert "another process" in error_of(capsys, train.main, "--out", tmp_path, *flags)
+    assert contents(tmp_path) == before and run_folder.running(tmp_path)
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
     run("--iterations", 20, "--out", tmp_path, "--resume")
     assert rows(tmp_path) == rows(finished)
+    assert not run_folder.running(tmp_path) and not run_folder.running(tmp_path / "none")
 
 
-def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path, number):
     process = start_and_wait(tmp_path)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate()[0].splitlines()[-1]
-    assert process.returncode == 130
-    saved = len(rows(tmp_path)) - 1
-    assert 5 <= saved < 20 and f"iteration {saved}." in said
-    assert train.main(shlex.split(said.split("python train.py ")[1])) == 0
+    process.send_signal(number)
+    said, complaints = process.communicate()
+    assert (process.returncode, complaints) == (130, "")
+    assert "Stopping after this iteration" in said
+    saved, last = len(rows(tmp_path)) - 1, said.splitlines()[-1]
+    assert 5 <= saved < 20 and f"iteration {saved}." in last
+    command = shlex.split(last.split("Continue with: ")[1])
+    assert command[:2] == [sys.executable, str(ROOT / "train.py")] and train.main(command[2:]) == 0
     assert rows(tmp_path) == rows(finished)
+
+
+def test_a_closed_terminal_saves(finished, tmp_path):
+    """SIGHUP, when nobody reads any more what is printed. The same is true when Ctrl-C ends `tee` as well."""
+    process = start_and_wait(tmp_path)
+    process.stdout.close(), process.stderr.close()
+    process.send_signal(signal.SIGHUP)
+    assert process.wait() == 130
+    assert 5 <= len(rows(tmp_path)) - 1 < 20
+    resume(tmp_path)
+    assert rows(tmp_path) == rows(finished)
+
+
+def test_ctrl_c_while_jax_compiles_ends_in_one_line(tmp_path):
+    """There is nothing to save, so there is nothing to wait for. An empty cache makes JAX compile."""
+    process = start(*FLAGS, "--out", tmp_path / "run", JAX_COMPILATION_CACHE_DIR=str(tmp_path / "cache"))
+    assert "Compiling" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    said = process.communicate()
+    assert (process.returncode, *said) == (130, "", "\nStopped at once: there is no checkpoint\n")
+    assert set(contents(tmp_path / "run")) == {"config.json", "lock"}
+
+
+def test_ctrl_c_while_python_imports_ends_in_one_line(tmp_path):
+    """Twice, and before there is anything to stop."""
+    (tmp_path / "jax.py").write_text("import os, signal\nfor _ in range(2): os.kill(os.getpid(), signal.SIGINT)\n")
+    process = start(*FLAGS, "--out", tmp_path / "run", PYTHONPATH=str(tmp_path))
+    said = process.communicate()
+    assert (process.returncode, *said) == (130, "", "\nStopped at once: no training was under way\n")
+
+
+def wait_for(condition):
+    """Until it is true, for ten seconds at most."""
+    end = time.monotonic() + 10
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.001)
+    assert condition()
+
+
+@pytest.mark.parametrize("file, says", [("checkpoint.npz", "--resume"), ("policy.npz", "no checkpoint")])
+def test_ctrl_c_twice_stops_at_once_and_promises_no_checkpoint_that_is_not_there(tmp_path, monkeypatch, file, says):
+    (tmp_path / file).touch()
+    ends = []
+    monkeypatch.setattr(train, "stop_at_once", ends.append)
+    with train.stop_at_boundary(tmp_path) as stop:
+        stop.worth_saving = True
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_for(lambda: stop.asked)
+        assert not ends
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_for(lambda: ends)
+    assert says in ends[0]
+
+
+def test_a_run_under_nohup_outlives_its_terminal(tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with train.stop_at_boundary(tmp_path):
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.parametrize(
@@ -123,13 +209,189 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
 
 
 def test_metrics_are_read_as_columns(tmp_path):
-    """Two rows of two columns; a last row without its second number, as a full disk would leave it; no row yet."""
-    (tmp_path / "metrics.csv").write_text("iteration,reward\n1,0.5\n2,0.75\n3\n")
+    """Two rows of two columns, whatever a crash or a full disk made of a third; no row yet; a row of something else."""
+    for torn in ("", "3", "3\n", "3,0.", "3,0.875", "3,0.8,75\n", "\0\0\0\0", "\0\0\n"):
+        (tmp_path / "metrics.csv").write_text("iteration,reward\n1,0.5\n2,0.75\n" + torn)
+        columns = {name: x.tolist() for name, x in run_folder.read_metrics(tmp_path).items()}
+        assert columns == dict(iteration=[1.0, 2.0], reward=[0.5, 0.75]), torn
+    for empty in ("", "iteration,reward", "iteration,reward\n"):
+        (tmp_path / "metrics.csv").write_text(empty)
+        assert run_folder.read_metrics(tmp_path) == {}
+    (tmp_path / "metrics.csv").write_text("iteration,reward\n1,much\n")
+    with pytest.raises(ValueError, match=r"metrics\.csv.*much"):
+        run_folder.read_metrics(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "damage, left",
+    [
+        (lambda path: os.truncate(path, path.stat().st_size - 60), 19),
+        (lambda path: path.write_text("".join(path.read_text().splitlines(keepends=True)[:6]) + "6,0.5,7,8,9\n"), 5),
+        (lambda path: path.write_text("iteration\n"), 0),
+        (lambda path: path.write_bytes(b"\xff\x00\n\xff\n"), 0),
+        (lambda path: path.unlink(), 0),
+    ],
+    ids=["torn", "merged", "lost", "binary", "deleted"],
+)
+def test_a_run_goes_on_without_rows_that_are_lost(finished, tmp_path, capsys, damage, left):
+    """The checkpoint is intact, and a curve is not worth a run. The new rows are those of a run that lost nothing."""
+    copy(finished, tmp_path)
+    before = rows(tmp_path)
+    damage(tmp_path / "metrics.csv")
+    resume(tmp_path, "--iterations", 21)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"lacks {20 - left} of 20 rows" in line and str(tmp_path) in line
+    assert rows(tmp_path)[:-1] == before[: left + 1]
+    assert rows(tmp_path)[-1][0] == "21" and len(rows(tmp_path)[-1]) == len(before[0])
+    assert run_folder.read_metrics(tmp_path)["iteration"].tolist() == [*range(1, left + 1), 21]
+
+
+def test_rows_of_another_version_keep_their_columns(tmp_path):
+    (tmp_path / "metrics.csv").write_text("iteration,steps,old\n1,4,0.5\n")
+    log = run_folder.Log(tmp_path, 1)
+    log.row(2, dict(steps=8, new=0.25))
     columns = run_folder.read_metrics(tmp_path)
-    assert list(columns) == ["iteration", "reward"] and columns["iteration"].tolist() == [1.0, 2.0, 3.0]
-    assert columns["reward"][:2].tolist() == [0.5, 0.75] and np.isnan(columns["reward"][2])
-    (tmp_path / "metrics.csv").write_text("")
-    assert run_folder.read_metrics(tmp_path) == {}
+    assert columns["steps"].tolist() == [4, 8]
+    assert columns["old"] == pytest.approx([0.5, np.nan], nan_ok=True)
+    assert columns["new"] == pytest.approx([np.nan, 0.25], nan_ok=True)
+    (tmp_path / "metrics.csv").unlink()  # while the run is going on
+    log.row(3, dict(steps=12, new=0.5))
+    assert run_folder.read_metrics(tmp_path)["steps"].tolist() == [4, 12]
+
+
+@pytest.mark.parametrize("error", [ValueError, TypeError, ImportError, OSError], ids=lambda x: x.__name__)
+def test_drawing_never_stops_training(tmp_path, capsys, monkeypatch, error):
+    def draw_curves(folder):
+        raise error("no\nfont")
+
+    monkeypatch.setattr(run_folder, "draw_curves", draw_curves)
+    run("--out", tmp_path)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no font" in line and (tmp_path / "checkpoint.npz").exists()
+
+
+def edit(path, part, name, x):
+    """Another value in config.json."""
+    record = json.loads(path.read_text())
+    record[part][name] = x
+    path.write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("part, name, x", [("learner", "seed", 1), ("env", "noise", 0.5), ("env", "friction", [1, 1])])
+def test_settings_that_were_edited_are_one_line(finished, tmp_path, capsys, part, name, x):
+    """The checkpoint has its settings in it, so that a run does not change in silence."""
+    copy(finished, tmp_path)
+    edit(tmp_path / "config.json", part, name, x)
+    before = contents(tmp_path)
+    assert f" {name} " in error_of(capsys, train.main, "--out", tmp_path, "--resume", "--iterations", 21)
+    assert contents(tmp_path) == before
+
+
+def test_a_checkpoint_of_an_earlier_version_goes_on(finished, tmp_path, capsys):
+    """It does not tell its settings or JAX's threads."""
+    copy(finished, tmp_path)
+    arrays = run_folder.read_npz(tmp_path / "checkpoint.npz")
+    settings = json.loads(str(arrays.pop("settings")))
+    assert set(settings) == {"env", "learner", "jax_threads"}
+    np.savez(tmp_path / "checkpoint.npz", **arrays)
+    (tmp_path / "lock").unlink()
+    resume(tmp_path, "--iterations", 21)
+    assert capsys.readouterr().err == ""
+    assert rows(tmp_path)[:-1] == rows(finished)
+
+
+def test_numbers_are_float32_whatever_jax_was_told(finished, tmp_path):
+    jax.config.update("jax_enable_x64", True)
+    try:
+        run("--iterations", 3, "--out", tmp_path)
+    finally:
+        jax.config.update("jax_enable_x64", False)
+    assert rows(tmp_path) == rows(finished)[:4]
+
+
+@pytest.mark.parametrize(
+    "given, began, now, says",
+    [
+        (None, None, "8", None),
+        (None, "8", "8", None),
+        (None, "2", "2", "PJRT_NPROC=8"),
+        ("4", "2", "4", "differ"),
+        ("4", None, "4", None),
+    ],
+)
+def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, given, began, now, says):
+    """On a machine of 8 cores, for a run that began with some number of threads, if the user sets another or does not.
+
+    test_the_number_of_cores_changes_no_bit shows what it is good for.
+    """
+    monkeypatch.setattr(go1_env, "cores", lambda: 8)
+    monkeypatch.delenv("PJRT_NPROC", raising=False)
+    if given:
+        monkeypatch.setenv("PJRT_NPROC", given)
+    train.repeat_arithmetic(began)
+    assert os.environ["PJRT_NPROC"] == now
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == bool(says) and all(says in line for line in lines)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(go1_env.cores() < 2 or not hasattr(os, "sched_setaffinity"), reason="needs two cores")
+def test_the_number_of_cores_changes_no_bit(tmp_path, monkeypatch):
+    """Begun on two cores, resumed on two and on one. With a product per thread the last digit of kl would differ."""
+    flags = [
+        "--algo",
+        "ppo",
+        "--num-envs",
+        64,
+        "--num-steps",
+        16,
+        "--num-minibatches",
+        1,
+        "--hidden",
+        64,
+        "--history",
+        2,
+    ]
+    monkeypatch.delenv("PJRT_NPROC", raising=False)
+    cores = os.sched_getaffinity(0)
+    two, one = tmp_path / "two", tmp_path / "one"
+    assert start(*flags, "--iterations", 1, "--out", two).communicate()[1] == ""
+    shutil.copytree(two, one)
+    assert start("--resume", "--iterations", 3, "--out", two).communicate()[1] == ""
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        process = start("--resume", "--iterations", 3, "--out", one)
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert "PJRT_NPROC=1" in process.communicate()[1]
+    assert rows(one) == rows(two)
+
+
+@pytest.mark.parametrize(
+    "typed, argv, whole, expected",
+    [
+        ("python train.py --task flat", ["--task", "flat"], 1, "python train.py --task flat"),
+        ("python -m mine --bonus 3 --task flat", ["--task", "flat"], 2, "python -m mine --bonus 3 --task flat"),
+        ("python sweep.py", ["--seed", "1"], 1, "python sweep.py --seed 1"),
+    ],
+    ids=["train.py", "own flags", "sweep"],
+)
+def test_the_command_is_the_one_that_was_given(monkeypatch, typed, argv, whole, expected):
+    """A script that wraps train.py, because its reward is another, must not be told to go on with train.py."""
+    words = shlex.split(typed)
+    monkeypatch.setattr(sys, "orig_argv", words)
+    monkeypatch.setattr(sys, "argv", ["/path/of/script.py", *words[whole + 1 :]])
+    assert train.command_line(argv) == shlex.split(expected)
+
+
+def test_the_time_left_leaves_compilation_out(capsys):
+    """100 s for the first iteration and 1 s for each of the next 99: the last 600 take ten minutes, not 20."""
+    numbers = dict(reward=0, v_x=0, power=0, alpha=0, steps_per_s=1)
+    first, row = (dict(iteration=i, time_s=t) | numbers for i, t in ((1, 100.0), (100, 199.0)))
+    train.report(row, first, 700)
+    assert "  10 min left" in capsys.readouterr().out
+    train.report(first | dict(iteration=100), first | dict(iteration=100), 700)
+    assert "left" not in capsys.readouterr().out  # what the first one took says nothing
 
 
 @pytest.mark.parametrize(
@@ -154,18 +416,23 @@ def other_network(path):
     np.savez(path, **arrays | {next(name for name in arrays if "actor" in name): np.ones((2, 2))})
 
 
+def other_type(path):
+    """The same checkpoint with text for numbers."""
+    arrays = run_folder.read_npz(path)
+    np.savez(path, **arrays | {"env0.age": arrays["env0.age"].astype(str)})
+
+
 @pytest.mark.parametrize(
     "file, damage",
     [
         *((file, damage) for file in ("checkpoint.npz", "config.json") for damage in DAMAGES.values()),
         ("checkpoint.npz", other_network),
-        ("metrics.csv", lambda path: path.write_text("iteration\n")),  # the checkpoint is of a longer run
+        ("checkpoint.npz", other_type),
         ("config.json", lambda path: path.write_text("{")),
     ],
 )
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(tmp_path, capsys, finished, file, damage):
-    for name, content in contents(finished).items():
-        (tmp_path / name).write_bytes(content)
+    copy(finished, tmp_path)
     damage(tmp_path / file)
     before = contents(tmp_path)
     assert str(tmp_path) in error_of(capsys, train.main, "--out", tmp_path, "--resume")

@@ -439,6 +439,55 @@ def test_shaped_reward_replaces_the_task_reward_and_keeps_it_in_the_log():
     assert info["log"]["task_reward"] == pytest.approx([1.5] * 2, abs=1e-6)
 
 
+def seen_by_the_shaped_reward(env, action=0.0, qd=0.0):
+    """The shaped.Motion of env now; action, qd: what they were a control step ago."""
+    return shaped.observe(env, env.tracked_velocity("heading"), np.full((env.num_envs, 12), action), qd)
+
+
+def test_what_the_shaped_reward_sees_of_the_trunk():
+    """Rough ground, robots on their right side, which is -y: the body's y is up, and its z the world's -y.
+
+    They roll at 1, pitch at 2 and yaw at 4 rad/s, move at 8, 16, 32 m/s in the world and so at -16 along the body's z.
+    Heights are above the ground below, as MuJoCo's rays find it there; 0.25 m on a height field of 15 cm.
+    """
+    env = make(8, task="rough", roughness=(0.15, 0.15), reward="shaped")
+    place(env, quaternion=support.ON_ITS_SIDE, velocity=(8, 16, 32), rates=(1, 2, 4))
+    ground = rays(env, env.qpos[:, :2])
+    env.qpos[:, 2] = ground + 0.25
+    seen = seen_by_the_shaped_reward(env)
+    assert np.ptp(ground) > 0.03
+    assert seen.height == pytest.approx(np.full(8, 0.25), abs=2e-3)
+    assert (seen.roll_pitch_rate == [1, 2]).all() and seen.v_z == pytest.approx(np.full(8, -16))
+    assert seen.gravity == pytest.approx(np.tile([0.0, -1.0, 0.0], (8, 1)), abs=1e-9)
+
+
+def test_what_the_shaped_reward_sees_of_joints_and_actions():
+    """Speeds rise from 1/4 to 1 rad/s and actions from 1 to 4 in a step of 20 ms: 37.5 rad/s^2, and a change of 3."""
+    env = make(reward="shaped")
+    place(env, q=NOMINAL + 0.125, qd=1.0)
+    env.state.action[:], env.ctrl[:] = 4.0, 7.0
+    seen = seen_by_the_shaped_reward(env, action=1.0, qd=0.25)
+    assert seen.qdd == pytest.approx(np.full((2, 12), 37.5)) and (seen.action_change == 3).all()
+    assert (seen.torque == 7).all() and (seen.q == NOMINAL + 0.125).all()
+    assert seen.joint_range.tolist() == [[-0.863, -0.686, -2.818] * 4, [0.863, 4.501, -0.888] * 4]
+
+
+def test_what_the_shaped_reward_sees_of_contacts():
+    """Robot i of 17 touches the ground with sensor i alone, robot 17 with all: 4 thighs and 4 calves are collisions.
+
+    A foot that touches it now was up for as many steps of 20 ms as counted: FR 2, FL 3, RR 4, RL 5.
+    """
+    env, robot = make(18, reward="shaped"), mujoco.MjModel.from_xml_path(str(go1.MODEL))
+    parts = [robot.sensor(i).name for i in range(17)]
+    env.contacts, env.state.off_ground[:] = np.vstack([2 * np.eye(17), np.ones(17)]), [2, 3, 4, 5]
+    seen, feet = seen_by_the_shaped_reward(env), [parts.index(f"{leg}_foot_contact") for leg in LEGS]
+    assert seen.collisions.tolist() == [float("thigh" in part or "calf" in part) for part in parts] + [8]
+    assert seen.landed[[*feet, 17]] == pytest.approx(
+        np.vstack([np.diag([0.04, 0.06, 0.08, 0.1]), [0.04, 0.06, 0.08, 0.1]])
+    )
+    assert not np.delete(seen.landed, [*feet, 17], axis=0).any()
+
+
 def test_air_time_counts_from_take_off_to_landing(monkeypatch):
     """After three steps in the air feet that land were up for 4 * 20 ms; then the clock starts anew, a step late.
 

@@ -147,6 +147,25 @@ def test_gae_ends_where_an_episode_terminated():
     assert estimate.advantage.ravel().tolist() == [0.5, 0, -63]
 
 
+def test_estimate_replaces_what_is_not_finite():
+    """D44. Two environments, three steps, V = 0, rewards (1, 2, 4) and (8, nan, 16); gamma gae_lambda = 1/4.
+
+    The nan is in the sums of the steps 0 and 1 as well, so the samples 1 and 3, counted along the rows of (0, 1),
+    (2, 3), (4, 5), are dropped. The ones before them, 0 and 2, stand there: 1 + 2/4 + 4/16 = 1.75 and 2 + 4/4 = 3.
+    J is the mean of 1.75, 1.75, 3, 3, 4 and 16. With the nan in environment 0, no sample is before 0, and 1 stands in.
+    """
+    for reward, sample, advantage in (
+        ([[1, 8], [2, np.nan], [4, 16]], [[0, 0], [2, 2], [4, 5]], [[1.75, 1.75], [3, 3], [4, 16]]),
+        ([[8, 1], [np.inf, 2], [16, 4]], [[1, 1], [1, 3], [4, 5]], [[1.75, 1.75], [1.75, 3], [16, 4]]),
+    ):
+        zero, never = np.zeros((3, 2, 1), np.float32), np.zeros((3, 2), bool)
+        tau = Rollout(zero, zero, zero, np.float32(reward)[..., None], never, never, (zero[0],) * 2, (zero[0, :0],) * 2)
+        estimate = eipo.estimate(handmade(critic=((0.0,), (0.0,))), tau, EIPO)
+        assert estimate.sample.tolist() == sample
+        assert estimate.advantage[..., 0].tolist() == estimate.target[..., 0].tolist() == advantage
+        assert float(eipo.estimate_J(estimate)) == pytest.approx(np.mean(advantage), rel=1e-6)
+
+
 def test_estimate_J_is_not_of_normalised_advantages():
     """D8. One-step episodes, V = 0: rewards (0, 2, 0, 2) give J = 1, rewards (2, 4, 2, 4) give J = 3: the gap is -2.
 
@@ -164,7 +183,7 @@ def test_estimate_J_is_not_of_normalised_advantages():
 def test_estimate_J_is_the_task_alone():
     """Targets (1, 64) and (3, 64) of the streams (task, cost): J = (1 + 3) / 2 = 2, the cost is not asked."""
     target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    assert eipo.estimate_J(Estimate(None, target, None)) == 2
+    assert eipo.estimate_J(Estimate(None, target, None, None)) == 2
 
 
 # ---- L13: the multiplier ----

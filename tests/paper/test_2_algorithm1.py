@@ -276,6 +276,77 @@ def test_algorithm1_resumes_with_the_same_bits(with_effort):
     assert [env.seeds for env in envs] == [[0], [1]]
 
 
+# ---- what is not finite (D44) ----
+
+
+class Faulty(Probe):
+    """A Probe whose robot 5 has a `value` that is no number in the place of a `name`, once or at every step after."""
+
+    def __init__(self, name, value, step=3, always=False, **fields):
+        super().__init__(near_half, effort, **fields)
+        self.name, self.value, self.step_of_fault, self.always = name, value, step, always
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = super().step(action)
+        if len(self.diary) == self.step_of_fault or self.always:
+            dict(obs=obs, reward=reward, **info)[self.name][slice(None) if self.always else 5] = self.value
+        return obs, reward, terminated, truncated, info
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+@pytest.mark.parametrize(("name", "dropped"), [("reward", 3), ("cost", 3), ("obs", 4), ("privileged", 4)])
+def test_algorithm1_drops_a_sample_that_is_not_finite(name, value, dropped):
+    """Step 3 of 8 gives robot 5 no number, or shows it none in step 4: its 3 or 4 samples up to there are dropped.
+
+    The others are learned from, of the same 16 robots, and alpha follows them.
+    """
+    (start, _), (end, log) = run(Faulty(name, value), Probe(near_half, effort), iterations=1)
+    assert (log["dropped"], log["skipped"], log["prime_dropped"]) == (dropped, 0, 0)
+    assert np.isfinite([log["J"], log["gap"], log["kl"]]).all() and end.dual != start.dual
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(end.pi.params))
+    assert not trees_equal(start.pi.params["actor"], end.pi.params["actor"])
+
+
+@pytest.mark.parametrize("culprit", ["pi", "pi_prime"])
+def test_algorithm1_ends_when_nothing_was_learned_for_ten_iterations(culprit):
+    """Rewards are never a number. 10 iterations of 4 x 2 minibatches were skipped: the tenth State is not given away.
+
+    Up to the ninth, networks and alpha are what they were, so that a checkpoint of them is worth as much as the first.
+    """
+    envs = Faulty("reward", np.nan, always=True), Probe(near_half, effort)
+    seen = []
+    with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iterations: [^\n]+$"):
+        seen.extend(eipo.eipo(*(envs if culprit == "pi" else envs[::-1]), EIPO))
+    assert [state.iteration for state, _ in seen] == list(range(1, 10))
+    (first, _), (last, log) = seen[0], seen[-1]
+    assert log["skipped" if culprit == "pi" else "prime_skipped"] == 9 * 4 * 2
+    assert trees_equal(getattr(first, culprit).params, getattr(last, culprit).params)
+    assert first.dual == last.dual == Dual(0.25, 0)
+
+
+def test_algorithm1_goes_on_when_something_was_learned():
+    """Nine iterations without a number, one with, nine without: never ten in a row."""
+    env = Faulty("reward", np.nan, always=True)
+    skipped = []
+    for state, log in islice(eipo.ppo(env, EIPO), 19):
+        env.always = state.iteration != 9
+        skipped.append(int(log["skipped"]) // (4 * 2))
+    assert skipped == [*range(1, 10), *range(9, 19)]
+
+
+@pytest.mark.parametrize("dual", [Dual(np.nan, 0.0), Dual(200.0, np.nan), Dual(np.inf, 0.0), Dual(200.0, -np.inf)])
+def test_algorithm1_does_not_go_on_without_alpha(dual):
+    """nan > 0 is false, so that line 13 would put alpha to 0 for good. A start may be damaged, or a line 13 wrong."""
+    env, env_prime = Probe(one), Probe(one)
+    start = eipo.init_state(env, env_prime, EIPO)
+    for steps in (
+        eipo.eipo(env, env_prime, EIPO, start._replace(dual=dual)),
+        eipo.eipo(env, env_prime, EIPO, start, line_13=lambda *_: dual),
+    ):
+        with pytest.raises(ValueError, match=r"^alpha and its momentum are .* after iteration [01]$"):
+            next(steps)
+
+
 # ---- the toy: a robot of one number, its speed theta, that can be solved by hand; F = theta^2 ----
 
 

@@ -173,6 +173,10 @@ def motion(**changes):
         (dict(q=[0.95, -0.92] + [0.9] * 10), 10 * (0.05 + 0.02)),
         (dict(landed=[0.25, 0.0, 0.75, 0.0]), 0.0),  # nobody asked the robot to move
         (dict(command=[1.0, 0, 0], velocity=[1.0, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),  # 0.25 - 0.5, 0.5 - 0.5
+        (dict(command=[0, 1.0, 0], velocity=[0, 1.0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),
+        (dict(command=[0, 0, 1.0], velocity=[0, 0, 1.0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),  # turning on the spot
+        (dict(command=[0.1, 0, 0], velocity=[0.1, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),  # not more than 0.1 m/s
+        (dict(command=[0.11, 0, 0], velocity=[0.11, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),
         (dict(command=[0, 0, 1.0], velocity=[0, 0, 0.5]), 0.5 - 0.5 * E1),  # 0.25 / 0.25
         (dict(collisions=3), 1.5),  # never below 0
     ],
@@ -181,6 +185,17 @@ def test_shaped_reward_term_by_term(changes, lost):
     """Reference [5], V-E: 1 + 0.5 for perfect tracking, less what each deviation costs by its published weight."""
     assert shaped.reward(motion(**changes)) == pytest.approx([1.5 - lost])
     assert list(shaped.terms(motion())) == list(shaped.WEIGHTS)
+
+
+def test_shaped_reward_of_any_leading_shape():
+    """The environments step as one array: an entry of the result must not depend on the others."""
+    rng = np.random.default_rng(0)
+    ranges = np.array([[-0.5] * 12, [1.0] * 12])
+    many = shaped.Motion(*(rng.uniform(size=(2, 3, *x.shape[1:])) for x in motion()[:-1]), ranges)
+    for i in np.ndindex(2, 3):
+        alone = shaped.terms(shaped.Motion(*(x[i] for x in many[:-1]), ranges))
+        for name, term in shaped.terms(many).items():
+            assert term.shape == (2, 3) and term[i] == pytest.approx(alone[name], rel=1e-14), name
 
 
 def test_landings_by_hand():

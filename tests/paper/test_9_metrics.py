@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import frames, make
+from support import frames, handmade, make
 
 import measure
 
@@ -16,7 +16,7 @@ class Scripted:
     number of the robot plus 1; reward 0.5. After robot 1's fall the next episode has begun: nothing of its 64 counts.
     """
 
-    num_envs, env_cfg = 3, SimpleNamespace(episode_steps=20)
+    num_envs, env_cfg, slow = 3, SimpleNamespace(episode_steps=20), 3 / 64  # m/s, of robot 2
 
     def reset(self, seed, command=None):
         self.t = 0
@@ -24,7 +24,9 @@ class Scripted:
 
     def step(self, action):
         self.t += 1
-        log = dict(v_x=[self.t, 2.0, 3 / 64], power=[8.0, 16.0, 24.0], pitch=[self.t, 4.0, 0.0], roll=[-1.0, 0.5, 0.0])
+        log = dict(
+            v_x=[self.t, 2.0, self.slow], power=[8.0, 16.0, 24.0], pitch=[self.t, 4.0, 0.0], roll=[-1.0, 0.5, 0.0]
+        )
         log = {name: np.where([False, self.t > 3, False], 64.0, x) for name, x in log.items()}
         terminated = np.array([False, self.t == 3, False])
         truncated = np.array([self.t == 20, False, self.t == 20])
@@ -52,6 +54,12 @@ def test_velocity_power_energy_and_attitude_are_of_the_first_episode(episodes):
     assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [-1.0, 0.5, 0.0]
 
 
+def test_energy_per_metre_needs_a_robot_that_moves(monkeypatch):
+    """D27. Robot 2 stands at 3/64 = 0.047 m/s, and moves at 1/16 = 0.0625 m/s: 24 W / (1/16 m/s) = 384 J/m."""
+    monkeypatch.setattr(Scripted, "slow", 1 / 16)
+    assert measure.run_episodes(lambda obs: obs, Scripted()).energy[2] == 384
+
+
 def test_late_and_peak_velocity(episodes):
     """Second half of robot 0: (11 + ... + 20) / 10 = 15.5 m/s; robot 1 fell before.
 
@@ -60,6 +68,14 @@ def test_late_and_peak_velocity(episodes):
     assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 3 / 64] and np.isnan(episodes.v_x_late[1])
     assert episodes.peak.tolist() == [20.0, 2.0, 3 / 64]
     assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 3 / 64]
+
+
+def test_the_policy_that_is_measured_has_no_noise():
+    """D42. The mean, 4 (3 obs) = 12 and 24, of a policy whose noise has a deviation of e^2; the same every time."""
+    params = handmade(estimator=((3.0,),), actor=((0.0,), (4.0,)))
+    params["actor"]["log_std"] = params["actor"]["log_std"] + 2
+    policy, obs = measure.deterministic(params), np.array([[1.0], [2.0]], np.float32)
+    assert policy(obs).tolist() == policy(obs).tolist() == [[12.0], [24.0]]
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
