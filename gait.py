@@ -65,12 +65,12 @@ def record(policy, env, command):
     env.watch = look
     for _, log, alive, fell in islice(measure.steps(policy, env, command), SETTLE + WINDOW):
         upright = alive & ~fell
+        del physics[: -WINDOW * env.env_cfg.physics_steps]
         ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
         control.append([env.qpos[:, 2] - ground, log["pitch"], log["roll"], log["v_x"], log["power"]])
     height, pitch, roll, v_x, power = np.moveaxis(control[SETTLE:], 1, 0)
-    settled = physics[SETTLE * env.env_cfg.physics_steps :]
     body = np.stack([height, pitch, roll], -1)
-    return Record(*(np.array(x) for x in zip(*settled, strict=True)), body, v_x, power, upright)
+    return Record(*(np.array(x) for x in zip(*physics, strict=True)), body, v_x, power, upright)
 
 
 # ---- of one robot: from contacts to the name of a gait ----
@@ -154,6 +154,8 @@ def gait_row(seen, weight, env_cfg):
     for prefix, x in dict(duty=contact, phase=phases, power=leg_power(seen, env_cfg.clip)[:, up]).items():
         row |= {f"{prefix}_{leg}": x[..., i] for i, leg in enumerate(go1.LEGS)}
     row |= {name: seen.body[:, up, i] for i, name in enumerate(("height", "pitch", "roll"))}
+    for name, x in dict(stride_hz=hz, v_x=v_x, duty=contact.mean((0, 2))).items():
+        row[f"{name}_sd"] = float(np.std(x)) if len(x) else np.nan  # over robots
     row = {name: x if isinstance(x, str | float) else measure.finite_mean(x) for name, x in row.items()}
     return row, up[same[0]] if same else 0
 

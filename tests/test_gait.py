@@ -184,6 +184,7 @@ def test_a_row_by_hand():
     assert [row[f"duty_{leg}"] for leg in go1.LEGS] == pytest.approx([0.4] * 4)
     assert [row[f"phase_{leg}"] for leg in go1.LEGS] == pytest.approx([0, 0.5, 0.5, 0], abs=1e-6)
     assert row["stride_hz"] == pytest.approx(2.5, abs=0.03)
+    assert [row[x] for x in ("stride_hz_sd", "v_x_sd", "duty_sd")] == pytest.approx([0, 0, 0])
     assert row["flight"] == pytest.approx(0.2)  # two stances of 0.4, half a stride apart
 
 
