@@ -4,6 +4,8 @@
     python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
     python evaluate.py pareto RUN... --out DIR   speed against energy per metre on `velocity`, seed by seed
     python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
+    python evaluate.py gait RUN... --out DIR     how each run's robot moves its feet; joints: and what its joints do
+    python evaluate.py robust RUN... --out DIR   what each run loses where masses, friction, delays leave its training
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
 
 How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda), with its other cost or reward.
@@ -23,7 +25,11 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+import adopt
+import gait
+import joints
 import measure
+import robust
 import run_folder
 import train
 
@@ -88,7 +94,8 @@ def kind(env_cfg, cfg):
 def play(folder, task, commands, each, args):
     """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35)."""
     roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    return [measure.episodes(folder, commands, each, args.clip, roughness, nominal) for nominal in (False, True)]
+    starts = (False, True)
+    return [measure.episodes(folder, commands, each, args.clip, roughness, x, args.robot) for x in starts]
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
@@ -186,7 +193,7 @@ def fig6(folders, args):
     for name, runs in by_label(folders, "velocity").items():
         series = []
         for folder in runs:
-            policy, env = measure.load(folder, args.episodes, args.clip, args.roughness)
+            policy, env = measure.load(folder, args.episodes, args.clip, args.roughness, robot=args.robot)
             played = measure.steps(policy, env)
             v_x = np.array([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played])
             strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
@@ -284,7 +291,10 @@ def seeds(folders, args):
     return rows, figure
 
 
-FIGURES = {f.__name__: f for f in (fig2, fig3, fig4, fig5, fig6, table1, pareto, seeds)}
+FIGURES = {
+    f.__name__: f
+    for f in (fig2, fig3, fig4, fig5, fig6, table1, pareto, seeds, gait.gait, joints.joints, robust.robust)
+}
 
 
 def run_folders(paths):
@@ -432,10 +442,12 @@ def main(argv):
     parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
     parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
                         help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
+    parser.add_argument("--command", type=float, nargs="+", metavar="VX", help="m/s, that gait and joints ask for")
     parser.add_argument("--out", type=Path, help="folder for PNG, CSV and what to keep of the runs (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; 0.15 for rough)")
+    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (adopt.py)")
     try:
         if argv[:1] == ["--commands"]:
             print(*missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
@@ -445,6 +457,7 @@ def main(argv):
             raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
         if args.commands or not args.runs:
             raise ValueError("give run folders, or a figure and run folders, or --commands first and then a figure")
+        args.robot = args.model and adopt.read_robot(args.model)
         what, *paths = args.runs if args.runs[0] in FIGURES else ("", *args.runs)
         if not paths:
             raise ValueError(f"{what} of which runs? Give run folders")

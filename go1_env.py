@@ -60,13 +60,14 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
+    robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py
     Raises ValueError for what tasks.check refuses.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
 
-    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None):
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None):
         tasks.check(num_envs, env_cfg, threads)
         self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
@@ -77,13 +78,14 @@ class Go1Env:
         mujoco.set_mju_user_warning(lambda message: None)
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]  # a single tile has the greatest
         self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m) if levels.any() else None
-        model = go1.build_model(env_cfg.timestep, self.ground)
+        self.robot, model = robot, go1.build_model(env_cfg.timestep, self.ground, robot)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
         self.batch = batch = Batch(model, num_envs, threads or cores())
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
+        self.watch = lambda: None  # called after every physics step, for those who measure more than the log holds
         self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
@@ -194,8 +196,9 @@ class Go1Env:
             self.ctrl[:] = go1.limit_torque(torque, qd, self.task.torque_speed or self.env_cfg.motor_model)
             torques.append(self.ctrl.copy())
             self.batch.step()  # a joint may exceed the speed that the URDF gives for it (D37)
-            fell |= (self.contacts[:, : 13 if self.task.only_feet else 9] > 0).any(-1)
+            fell |= (self.contacts[:, : -4 if self.task.only_feet else 9] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
+            self.watch()
         torques, speeds = np.array(torques), np.array(speeds)
         # A torque changes the speed during a physics step: its power takes the mean of speeds before and after (D17)
         cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(0)

@@ -67,15 +67,16 @@ def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
                    roughness=env_cfg.roughness if roughness is None else (roughness, roughness))  # fmt: skip
 
 
-def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads=None):
+def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads=None, robot=None, **changes):
     """The `deterministic` policy of a run folder, and a Go1Env to try it in, with one robot for each episode.
 
     clip, roughness: of Eq. (9), and [m] of the ground; None for either is as in training
     nominal: start from the nominal pose at rest, not from random poses and velocities as in training (D35)
+    robot, changes: another model of the robot, see Go1Env, and fields of its Config that differ from training
     """
     params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
-    env = go1_env.Go1Env(num_episodes, evaluated(env_cfg, clip, roughness, nominal), threads)
-    return deterministic(params), env
+    world = replace(evaluated(env_cfg, clip, roughness, nominal), **changes)
+    return deterministic(params), go1_env.Go1Env(num_episodes, world, threads, robot)
 
 
 def steps(policy, env, command=None):
@@ -117,13 +118,17 @@ def run_episodes(policy, env, command=None):
     return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
 
 
-def episodes(folder, commands, each, clip=None, roughness=None, nominal=False):
+def episodes(folder, commands, each, clip=None, roughness=None, nominal=False, robot=None):
     """The Episodes of a run's policy, each of commands (n, 3) `each` times, one command after the other.
 
     They are played once. `episodes.csv.gz` in the run folder keeps them, with five digits, for the next figure and for
     whoever has the folder without its policy. Training deletes it with the next policy. Other arguments: as for `load`.
+    Those of another robot are not kept.
     """
     folder, commands = Path(folder), np.round(commands, 3)
+    if robot is not None:
+        loaded = load(folder, each * len(commands), clip, roughness, nominal, robot=robot)
+        return run_episodes(*loaded, np.repeat(commands, each, 0))
     world = evaluated(run_folder.load_config(folder)[0], clip, roughness, nominal)
     asked = np.array([(world.start_spread, *world.roughness, world.clip == "torque", *row) for row in commands])
     table = unpack(folder / run_folder.EPISODES)

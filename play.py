@@ -1,5 +1,7 @@
 """Look at a policy: `python play.py RUN` opens MuJoCo's viewer, `python play.py RUN --gif FILE` needs no display.
 
+--slow 4 shows it four times slower, and --forces draws the forces of the ground on the feet.
+
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s of yaw rate;
 backspace sets it to 0. With --follow the robot gets every new policy that a run saves while it trains.
 """
@@ -29,23 +31,26 @@ except (RuntimeError, AttributeError, OSError) as error:  # MuJoCo does not know
 import numpy as np
 from PIL import Image, ImageDraw
 
+import adopt
 import go1
 import go1_env
 import measure
 import run_folder
+import tasks
 import terrain
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
+NEWTON, ORANGE = 0.004, (255, 115, 0)  # of the arrows for contact forces: m per newton, and colour
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF; four seconds on rough ground take 2 MB
 
 
-def make_env(env_cfg, roughness=None):
-    """One robot on one tile, whose episode has no time limit. roughness: [m], or None for the greatest of the run."""
+def make_env(env_cfg, roughness=None, robot=None):
+    """One robot on one tile, without a time limit. roughness: [m], or None for the greatest of the run."""
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(env_cfg, **changes), threads=1)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes), 1, robot)
 
 
 def play(env, folder, command, follow=False):
@@ -73,13 +78,15 @@ def make_scene(env):
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
-    model = go1.build_model(env.env_cfg.timestep, ground)
+    model = go1.build_model(env.env_cfg.timestep, ground, env.robot)
+    model.vis.map.force, model.vis.rgba.contactforce[:3] = NEWTON, np.array(ORANGE) / 255
     return model, mujoco.MjData(model)
 
 
 def show(env, model, data):
-    """Put the drawn robot where the simulated one is, on the middle tile."""
-    data.qpos[:], data.qvel[:] = env.qpos[0], env.qvel[0]
+    """Put the drawn robot where the simulated one is, on the middle tile; the same torques make the same forces."""
+    model.body_mass[:], model.geom_friction[:] = env.state.mass[0], env.state.friction[0]
+    data.qpos[:], data.qvel[:], data.ctrl[:] = env.qpos[0], env.qvel[0], env.ctrl[0]
     if env.ground is not None:
         data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
     mujoco.mj_forward(model, data)
@@ -99,8 +106,8 @@ def caption(log, command):
     return f"{'asked ' + asked + '   ' if asked else ''}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
 
 
-def watch(env, steps, command):
-    """Show steps (an iterator of `play`) in the viewer, in real time, until its window is closed."""
+def watch(env, steps, command, slow=1.0, forces=False):
+    """Show steps (an iterator of `play`) in the viewer, `slow` times slower than they are, until it is closed."""
 
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
@@ -110,6 +117,7 @@ def watch(env, steps, command):
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
         point(viewer.cam, env, model)
+        viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
         while viewer.is_running():
             start = time.monotonic()
             log = next(steps)
@@ -117,26 +125,32 @@ def watch(env, steps, command):
                 show(env, model, data)
             viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
-            time.sleep(max(0.0, env.period - (time.monotonic() - start)))
+            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
 
-def save_gif(path, env, steps, seconds, command):
+def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
     model, data = make_scene(env)
-    images, camera = [], mujoco.MjvCamera()
+    images, camera, options = [], mujoco.MjvCamera(), mujoco.MjvOption()
+    options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
+    every = max(1, round(STEPS_PER_FRAME / slow))
     next(itertools.islice(steps, round(1 / env.period) - 1, None))
     point(camera, env, model)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for log in itertools.islice(steps, 0, round(seconds / env.period), STEPS_PER_FRAME):
+        for log in itertools.islice(steps, 0, round(seconds / env.period), every):
             show(env, model, data)
-            renderer.update_scene(data, camera)
+            renderer.update_scene(data, camera, options)
             image = Image.fromarray(renderer.render())
             ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
-            palette = dict(palette=images[0]) if images else dict(colors=COLOURS)  # one for all frames is smaller
-            images.append(image.quantize(dither=Image.Dither.NONE, **palette))
-    gif = dict(save_all=True, append_images=images[1:], duration=round(1000 * env.period * STEPS_PER_FRAME), loop=0)
+            if not images:  # one palette for all frames is smaller
+                first = image.copy()
+                if forces:  # the palette needs their colour, even if no foot is on the ground yet
+                    ImageDraw.Draw(first).rectangle((0, 0, 30, 30), fill=ORANGE)
+                palette = first.quantize(COLOURS, dither=Image.Dither.NONE)
+            images.append(image.quantize(dither=Image.Dither.NONE, palette=palette))
+    gif = dict(save_all=True, append_images=images[1:], duration=round(1000 * env.period * every * slow), loop=0)
     run_folder.replace_file(path, lambda file: images[0].save(file, "GIF", **gif))
 
 
@@ -152,8 +166,8 @@ def check_drawing(gif):
                 raise ValueError("no display answers; --gif FILE needs none, but libegl1, and DISPLAY, MUJOCO_GL unset")
 
 
-def main(argv):
-    """Play or draw; returns the exit status."""
+def parse(argv):
+    """The arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
     parser.add_argument("run", help="run folder with a policy.npz")
@@ -162,19 +176,30 @@ def main(argv):
     asked = dict(type=float, nargs=3, metavar=("VX", "VY", "YAW"), help="m/s, rad/s (default: the task's greatest)")
     parser.add_argument("--command", **asked)
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
+    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (adopt.py)")
+    parser.add_argument("--slow", type=float, default=1.0, help="show it so many times slower (default: 1)")
+    parser.add_argument("--forces", action="store_true", help="draw the forces of the ground on the robot")
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
-    args = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def main(argv):
+    """Play or draw; returns the exit status."""
+    args = parse(argv)
     try:
-        env = make_env(run_folder.load_policy(Path(args.run) / "policy.npz")[1], args.roughness)
+        env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")[1]
+        env = make_env(env_cfg, args.roughness, args.model and adopt.read_robot(args.model))
         command = np.array(args.command or ((1, 0, 0) if env.task.curriculum else env.task.command_high), float)
-        if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600:  # nan as well
-            raise ValueError("--command takes three numbers from -10 to 10, --seconds one from 0.1 to 600")
+        if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600 or not 0.1 <= args.slow <= 100:
+            raise ValueError("--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100")
+        if warning := tasks.untrained(env_cfg.task, command):
+            print(f"play.py: {args.run}: {warning}", file=sys.stderr)
         check_drawing(args.gif)
         steps = play(env, args.run, command, args.follow)
         if args.gif is None:
-            watch(env, steps, command)
+            watch(env, steps, command, args.slow, args.forces)
         else:
-            save_gif(Path(args.gif), env, steps, args.seconds, command)
+            save_gif(Path(args.gif), env, steps, args.seconds, command, args.slow, args.forces)
     except KeyboardInterrupt:
         return 130
     except (ImportError, AttributeError, mujoco.FatalError) as error:

@@ -32,6 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import contract
 import curriculum
 import eipo
 import go1
@@ -240,19 +241,20 @@ def save_policy(path, params, env_cfg):
     estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
     actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
     log_std                (12,) of the noise in training; a deployed policy takes the mean
+    trace.time ...         50 steps of the policy's own run, from sensors to joint targets: see contract.py
     frame_scale            (44,) SI units -> observation; the table at the top of go1_env.py lists a frame's entries
     q_nominal              (12,) [rad]; action_scale (12,) [rad]: joint targets are q_nominal + action_scale * action
     kp, kd                 [N m / rad], [N m s / rad] of the PD controller, which runs at the rate of the physics
     config                 tasks.Config as JSON: history H, timestep, physics_steps, action_limit ...
 
-    Joints: FR, FL, RR, RL x hip, thigh, calf.
+    contract.py says which frame and sign every entry has. Joints: FR, FL, RR, RL x hip, thigh, calf.
     """
     layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
     weights = {f"{net}.{i}.{name}": np.asarray(x, np.float32) for net in layers for i, layer in enumerate(layers[net])
                for name, x in dict(W=layer.even, b=layer.bias).items()}  # fmt: skip
     units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
                  action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
-    arrays = weights | units | dict(config=json.dumps(asdict(env_cfg)))
+    arrays = weights | units | dict(config=json.dumps(asdict(env_cfg))) | contract.trace(params, env_cfg)
     replace_file(path, lambda file: np.savez(file, **arrays))
     path.with_name(EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
@@ -262,6 +264,20 @@ def check_finite(tree):
     for path, x in jax.tree_util.tree_leaves_with_path(tree):
         if x.dtype.kind not in "biuf" or not np.isfinite(x).all():
             raise ValueError(f"{jax.tree_util.keystr(path)} does not hold finite numbers")
+
+
+def add_trace(path):
+    """Give an older policy.npz a trace, or a new one. Everything else in the file stays as it is."""
+    arrays = read_npz(path) | contract.trace(*load_policy(path))
+    replace_file(Path(path), lambda file: np.savez_compressed(file, **arrays))
+
+
+def load_trace(path):
+    """The trace in a policy.npz, {"time": (50,), "gravity": (50, 3), ...}: see contract.py."""
+    found = {name.removeprefix("trace."): x for name, x in read_npz(path).items() if name.startswith("trace.")}
+    if not found:
+        raise ValueError(f"{path} has no trace, because it is of an older version: run_folder.add_trace adds one")
+    return found
 
 
 def load_policy(path):

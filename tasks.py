@@ -31,6 +31,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+import curriculum
 import rewards
 import terrain
 
@@ -105,6 +108,21 @@ def task_config(task="flat", **changes):
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
     return Config(**dict(task=task) | TASKS[task].world | changes)
+
+
+def untrained(task, command):
+    """What to say about a command (3,) [m/s, m/s, rad/s] that a task never trains, or "" about one that it trains.
+
+    On `curriculum` the whole grid counts as trained, although no run has reached all of it.
+    """
+    low, high = np.zeros(3), np.array(TASKS[task].command_high)
+    if TASKS[task].curriculum:
+        (x, yaw), (x_high, yaw_high), (y, y_high) = curriculum.LOW, curriculum.HIGH, curriculum.V_Y
+        low, high = np.array([x, y, yaw]), np.array([x_high, y_high, yaw_high])
+    if ((low <= command) & (command <= high)).all():
+        return ""
+    ranges = ", ".join(f"{a:g} to {b:g}" if a < b else f"{a:g}" for a, b in zip(low, high, strict=True))
+    return f"the task {task} does not train the command {', '.join(f'{x:g}' for x in command)}, but {ranges}"
 
 
 WORDS = dict(frame=("heading", "body"), clip=("torque", "power"), aux=("energy", "smooth"), reward=("paper", "shaped"))

@@ -98,12 +98,13 @@ def test_without_a_display_one_line_says_what_to_do(runs):
 
 @pytest.fixture(scope="module")
 def gifs(runs, tmp_path_factory):
-    """A folder with flat.gif and velocity.gif, of 0.3 s, both made by one process (starting one takes long)."""
+    """A folder with flat.gif, velocity.gif and slow.gif, all made by one process (starting one takes long)."""
     folder = tmp_path_factory.mktemp("gifs")
     argvs = [[str(runs[task]), "--gif", f"{folder / task}.gif", "--seconds", "0.3"] for task in ("flat", "velocity")]
+    argvs += [[str(runs["flat"]), "--gif", f"{folder}/slow.gif", "--seconds", "0.1", "--slow", "4", "--forces"]]
     code = f"import play; print([play.main(argv) for argv in {argvs}])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("[0, 0]\n", "")
+    assert (done.stdout, done.stderr) == ("[0, 0, 0]\n", "")
     return folder
 
 
@@ -121,6 +122,15 @@ def test_a_gif_needs_no_display(gifs, task):
     assert durations == [60] * 5
     assert all(frame.std(axis=(0, 1)).min() > 5 for frame in frames), "nothing but one colour"
     assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(frames)), "nothing moves"
+
+
+@needs_gl
+def test_a_slow_gif_has_every_step_and_forces(gifs):
+    """0.1 s are five steps of 20 ms, each shown for 80 ms. The arrows are of a colour that nothing else has."""
+    with Image.open(gifs / "slow.gif") as slow, Image.open(gifs / "flat.gif") as flat:
+        assert (slow.n_frames, slow.info["duration"]) == (5, 80)
+        orange = [(np.asarray(gif.convert("RGB"), int) @ [1, 0, -1] > 120).sum() for gif in (slow, flat)]
+    assert orange[0] > 10 and orange[1] == 0
 
 
 BARE = """
@@ -207,6 +217,7 @@ def test_a_gif_is_replaced_in_one_step(env, tmp_path, monkeypatch):
         *(("flat", f"--command {x}", "--command") for x in ("1e300 0 0", "0 nan 0", "0 0 -11")),
         ("flat", "--gif=", "--gif is ''"),
         *(("flat", f"--gif a.gif --seconds {x}", "--seconds") for x in ("0", "-3", "0.02", "inf", "nan")),
+        *(("flat", f"--gif a.gif --slow {x}", "--slow") for x in ("0", "nan")),
         ("flat", "--gif none/a.gif", "none/a.gif"),
         ("flat", "--gif a.png", "a.png"),
     ],
@@ -232,10 +243,19 @@ def test_what_goes_wrong_is_one_line_before_anything_is_drawn(runs, tmp_path, ca
 def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
     monkeypatch.setattr(play, "check_drawing", lambda gif: None)
-    monkeypatch.setattr(play, "watch", lambda env, steps, asked: seen.append((next(steps), env, asked)))
+    monkeypatch.setattr(play, "watch", lambda env, steps, asked, *_: seen.append((next(steps), env, asked)))
     assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, env, asked),) = seen
     assert asked.tolist() == command and env.state.command.tolist() == [command] and log["command_x"] == command[:1]
+
+
+@pytest.mark.parametrize("argv, warns", [("--command 1.5 0 0", "1.5"), ("--command 0.5 0 0", ""), ("", "")])
+def test_a_command_that_was_not_trained_is_a_warning(runs, monkeypatch, capsys, argv, warns):
+    monkeypatch.setattr(play, "HEADLESS", False)
+    monkeypatch.setattr(play, "watch", lambda *_: None)
+    assert play.main([str(runs["flat"]), *argv.split()]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == bool(warns) and all(warns in line for line in lines)
 
 
 @pytest.mark.parametrize("task, asked, height", [("rough", None, 0.15), ("velocity", None, 0.05), ("flat", None, 0),
@@ -281,7 +301,7 @@ class FakeViewer:
 
     def __init__(self, keys):
         self.keys, self.texts, self.cam, self.lock = iter(keys), [], mujoco.MjvCamera(), nullcontext
-        self.left = len(keys)
+        self.left, self.opt = len(keys), mujoco.MjvOption()
 
     @contextmanager
     def launch_passive(self, model, data, key_callback, **_):
@@ -302,11 +322,11 @@ class FakeViewer:
 LOG = dict(v_x=np.array([1.26]), power=np.array([300.4]))
 
 
-def watch(monkeypatch, env, keys, command):
+def watch(monkeypatch, env, keys, command, *options):
     """The fake viewer after one frame for each key."""
     viewer = FakeViewer(keys)
     monkeypatch.setattr(mujoco.viewer, "launch_passive", viewer.launch_passive)
-    play.watch(env, itertools.repeat(LOG), command)
+    play.watch(env, itertools.repeat(LOG), command, *options)
     return viewer
 
 
@@ -354,6 +374,33 @@ def test_the_viewer_shows_the_simulated_robot_in_real_time(monkeypatch, env):
     assert slept == pytest.approx([0.015] * 4)
     assert viewer.data.qpos.tolist() == env.qpos[0].tolist()
     assert viewer.cam.trackbodyid == viewer.model.body("trunk").id
+
+
+def test_the_viewer_shows_it_slower_and_with_forces(monkeypatch, env):
+    """Four times slower a frame of 20 ms lasts 80, of which its work takes 5; no forces unless they are asked for."""
+    slept, force = [], mujoco.mjtVisFlag.mjVIS_CONTACTFORCE
+    monkeypatch.setattr(play.time, "sleep", slept.append)
+    monkeypatch.setattr(play.time, "monotonic", itertools.count(0, 0.005).__next__)
+    assert watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0, True).opt.flags[force] == 1
+    assert slept == pytest.approx([0.075] * 2)
+    assert watch(monkeypatch, env, [0], np.zeros(3)).opt.flags[force] == 0
+
+
+def test_the_forces_that_are_drawn_carry_the_robot(env):
+    """Over the half second in which it lands and stands: their mean is the weight, with the payload drawn, to 5 %."""
+    model, data = play.make_scene(env)
+    env.state.mass[0, env.trunk.id] += 2.0  # kg
+    pushes = []
+    for step in range(75):
+        env.step(np.zeros((1, 12)))
+        play.show(env, model, data)
+        force, up = np.zeros(6), 0.0
+        for i, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, i, force)
+            up += (force[:3] @ contact.frame.reshape(3, 3))[2]
+        pushes.append(up if step >= 50 else 0.0)
+    weight = 9.81 * env.state.mass.sum()
+    assert np.mean(pushes[50:]) == pytest.approx(weight, rel=0.05) and weight > 9.81 * 14
 
 
 @pytest.mark.parametrize("yaw, azimuth", [(0, 125), (90, 215), (-90, 35)])

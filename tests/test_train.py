@@ -494,7 +494,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     environment = train.go1_env.Go1Env
     monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
     run("--task", "curriculum", "--out", tmp_path / "run")
-    env, env_prime = made
+    env, env_prime, *_ = made  # and one for the trace of each policy that is saved
     env_prime.state.cell[:], env_prime.state.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region
     env_prime._draw_commands(np.array([0]))
     assert env.state.weights[4, 22] == pytest.approx(0.2)
