@@ -396,7 +396,15 @@ def missing_runs(what, flags):
     """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume", *(x for _, own in SWEEPS[what] for x in own)}
+    own = {
+        "--task",
+        "--algo",
+        "--lam",
+        "--seed",
+        "--out",
+        "--resume",
+        *(x for _, own in SWEEPS[what] for x in own if x[0] == "-"),
+    }
     taken = [flag for flag in flags if flag.split("=")[0] in own]
     if taken:
         raise ValueError(f"--commands sets {taken[0]} itself")

@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
@@ -150,14 +150,12 @@ def load_config(folder):
         record = json.loads((folder / "config.json").read_text())
         env_cfg, cfg = to_config(tasks.Config, record["env"]), to_config(eipo.Config, record["learner"])
         tasks.check(cfg.num_envs, env_cfg, None)
-        eipo.check(cfg)
+        eipo.check(cfg if cfg.algo == "eipo" else replace(cfg, alpha0=None))  # of PPO older runs have a number there
         return env_cfg, cfg
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(
-            f"{folder / 'config.json'} is damaged or of another version, so set it right: {error}"
-        ) from None
+        raise ValueError(f"{folder / 'config.json'} is damaged or of another version, see to it: {error}") from None
 
 
 def read_npz(path):

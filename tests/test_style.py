@@ -24,7 +24,7 @@ LAYERS = {
     "terrain": {"numpy", "scipy"},
     "shaped": {"numpy"},
     "curriculum": {"numpy", "scipy"},
-    "tasks": set(),
+    "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},
     "adopt": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
