@@ -155,9 +155,7 @@ def load_config(folder):
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(
-            f"{folder / 'config.json'} is damaged or of another version, so set it right: {error}"
-        ) from None
+        raise ValueError(f"{folder / 'config.json'} is damaged or of another version, see to it: {error}") from None
 
 
 def read_npz(path):
