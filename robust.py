@@ -23,6 +23,7 @@ PARAMETERS = dict(  # those that are fields of tasks.Config, and then those of t
     damping=(0, 0.1, 0.2, 0.5, 1, 2),  # N m s/rad of every joint, beside that of the PD controller
     armature=(0.5, 1, 2, 3, 5),  # factor on the inertia of the rotors
 )
+UNITS = dict(payload="kg", friction="-", motor_strength="-", latency="steps of 5 ms", damping="N m s/rad", armature="-")
 FORWARD = np.array([(x, 0.0, 0.0) for x in (0.0, 0.25, 0.5, 0.75, 1.0)])  # commands of flat and rough
 
 
@@ -71,7 +72,7 @@ def robust(folders, args):
 
 
 def draw(rows):
-    """A column for each parameter: task performance, or speed on velocity, and falls; a line for each run."""
+    """A column for each parameter: task performance above, falls below, and a line for each run."""
     figure = Figure(figsize=(3 * len(PARAMETERS), 5), layout="constrained")
     axes = figure.subplots(2, len(PARAMETERS), sharex="col", sharey="row", squeeze=False)
     for column, parameter in zip(axes.T, PARAMETERS, strict=True):
@@ -82,7 +83,7 @@ def draw(rows):
                 panel.plot(x, [row[y] for row in mine], marker="o", markersize=3, label=name)
                 panel.axvspan(mine[0]["trained_low"], mine[0]["trained_high"], alpha=0.2, color="gray")
                 panel.grid(alpha=0.3)
-        column[1].set(xlabel=parameter.replace("_", " "))
+        column[1].set(xlabel=f"{parameter.replace('_', ' ')} [{UNITS[parameter]}]")
     axes[0, 0].set(ylabel="task performance")
     axes[1, 0].set(ylabel="share that fell", ylim=(-0.05, 1.05))
     axes[0, 0].legend(fontsize=7)
