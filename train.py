@@ -317,12 +317,13 @@ def main(argv):
     lead, others = not options.process, (options.coordinator, options.processes, options.process)
     try:
         folder, env_cfg, cfg = prepare(options, given_env, given_learner)
-        if others != (None, None, None):
-            parallel.join(*others)
-        if lead:
-            folder.mkdir(parents=True, exist_ok=True)
-        with run_folder.lock(folder) if lead else nullcontext(), stop_at_boundary(folder) as stop:
-            stopped = train(folder, env_cfg, cfg, options, command, stop)
+        with stop_at_boundary(folder) as stop:
+            if others != (None, None, None):
+                parallel.join(*others)
+            if lead:
+                folder.mkdir(parents=True, exist_ok=True)
+            with run_folder.lock(folder) if lead else nullcontext():
+                stopped = train(folder, env_cfg, cfg, options, command, stop)
     except (ValueError, OSError) as error:
         if jax.distributed.is_initialized():
             parallel.leave(" ".join(str(error).split()))

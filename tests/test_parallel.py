@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ import train
 from eipo import Config, Estimate, Rollout
 
 FLAGS = [*TINY, "--num-envs", "8", "--threads", "1", "--checkpoint-every", "4", "--task", "curriculum", "--iterations"]
-SECONDS = 240  # in which any process of a test must have ended; alone on two cores it is 30
+SECONDS = 480  # in which any process of a test must have ended; on two idle cores it takes less than 60
 ONE_BATCH = Config(num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_estimator=(8,), mirror=False)
 
 
@@ -56,6 +57,8 @@ def process(out, *flags):
 
     train.save = save_and_keep
     status = train.main(list(flags))
+    if status or "--resume" in flags:
+        return status
     update = arrays_of(*eipo.ppo_update(*data_of_an_update(jax.process_count(), jax.process_index())))
     np.savez(f"{out}.{jax.process_index()}.update.npz", **update)
     return status
@@ -79,11 +82,11 @@ def start(folder, *flags, port=None, processes=2, only=None):
 def ended(processes, seconds=SECONDS):
     """Exit statuses and what was said on stderr, of all; none may take longer."""
     end = time.monotonic() + seconds
-    try:
-        said = [process.communicate(timeout=max(1, end - time.monotonic()))[1] for process in processes]
-    finally:
+    with ExitStack() as stack:
         for process in processes:
-            process.kill()
+            stack.enter_context(process)
+            stack.callback(process.kill)
+        said = [process.communicate(timeout=max(1, end - time.monotonic()))[1] for process in processes]
     return [process.returncode for process in processes], said
 
 
@@ -180,7 +183,7 @@ def test_another_number_of_processes_cannot_resume(finished, capsys):
 
 def resumes(finished, folder):
     """Resume the run on two processes; it ends with the bits of the one that was never stopped."""
-    assert ended(start(folder, "--resume")) == ([0, 0], ["", ""])
+    assert ended(start(folder, "--resume"))[0] == [0, 0]
     for i in range(2):
         one, other = held(finished, i), held(folder, i)
         assert [name for name in one if one[name].tobytes() != other[name].tobytes()] == []
@@ -193,7 +196,7 @@ def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim
     processes = start(folder, *FLAGS, 12)
     wait_for_rows(folder, processes, 5)
     processes[victim].kill()
-    statuses, said = ended(processes, 3 * parallel.SILENCE)
+    statuses, said = ended(processes, 3 * parallel.SILENCE)  # on a busy machine; it is told within one
     assert statuses[victim] == -signal.SIGKILL and statuses[1 - victim] == 2
     (line,) = said[1 - victim].splitlines()
     assert line.startswith("train.py: another process has ended") and "--resume" in line
@@ -221,14 +224,14 @@ def test_other_flags_of_another_process_are_one_line(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_taken_port_and_others_who_do_not_come_are_one_line(tmp_path, monkeypatch):
+def test_a_taken_port_and_others_who_do_not_come_are_one_line(tmp_path):
     with socket.create_server(("::", 0), family=socket.AF_INET6) as server:
         port = server.getsockname()[1]
-        taken = ended(start(tmp_path / "run", *FLAGS, 2, port=port, only=[0]), parallel.JOIN)
+        taken = ended(start(tmp_path / "run", *FLAGS, 2, port=port, only=[0]))
     for (statuses, (text,)), says in (
         (taken, "port taken"),
-        (ended(start(tmp_path / "run", *FLAGS, 2, only=[1]), 3 * parallel.JOIN), "not all of 2 processes"),
-        (ended(start(tmp_path / "run", *FLAGS, 2, only=[0]), 3 * parallel.JOIN), "not all of 2 processes"),
+        (ended(start(tmp_path / "run", *FLAGS, 2, only=[1])), "not all of 2 processes"),
+        (ended(start(tmp_path / "run", *FLAGS, 2, only=[0])), "not all of 2 processes"),
     ):
         (line,) = text.splitlines()
         assert statuses == [2] and line.startswith("train.py: ") and says in line
