@@ -225,7 +225,7 @@ def test_other_flags_of_another_process_are_one_line(tmp_path):
 
 @pytest.mark.slow
 def test_a_taken_port_and_others_who_do_not_come_are_one_line(tmp_path):
-    with socket.create_server(("::", 0), family=socket.AF_INET6) as server:
+    with socket.create_server(("::", 0), family=socket.AF_INET6, dualstack_ipv6=True) as server:
         port = server.getsockname()[1]
         taken = ended(start(tmp_path / "run", *FLAGS, 2, port=port, only=[0]))
     for (statuses, (text,)), says in (
