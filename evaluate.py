@@ -17,7 +17,7 @@ import io
 import shlex
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -396,15 +396,8 @@ def missing_runs(what, flags):
     """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {
-        "--task",
-        "--algo",
-        "--lam",
-        "--seed",
-        "--out",
-        "--resume",
-        *(x for _, own in SWEEPS[what] for x in own if x[0] == "-"),
-    }
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    own |= {flag for _, setting in SWEEPS[what] for flag in setting if flag[:2] == "--"}
     taken = [flag for flag in flags if flag.split("=")[0] in own]
     if taken:
         raise ValueError(f"--commands sets {taken[0]} itself")
@@ -426,12 +419,9 @@ def progress(argv):
     if run_folder.running(folder):
         return "running"
     kept = RESULTS / env_cfg.task / folder.name
-    if (
-        (kept / "config.json").exists()
-        and run_folder.load_config(kept) == (env_cfg, cfg)
-        and last(kept) >= cfg.iterations
-    ):
-        return "done"
+    with suppress(ValueError):  # nothing was kept there, or something of another version
+        if run_folder.load_config(kept) == (env_cfg, cfg) and last(kept) >= cfg.iterations:
+            return "done"
     if not (folder / "checkpoint.npz").exists():
         return ""
     train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings

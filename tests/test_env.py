@@ -492,6 +492,17 @@ def test_divergence_resets_one_robot(poison, fields, tmp_path, monkeypatch):
 
 
 @POISONS
+def test_an_episode_ends_for_one_reason(poison):
+    """All three lie on their backs and draw more than a watt. Robot 1 diverged, the others fell: each counts once."""
+    env = make(3, max_power=1.0)
+    place(env, height=0.056, quaternion=ON_ITS_BACK)
+    poison(env, action := np.zeros((3, 12)))
+    log = env.step(action)[4]["log"]
+    ends = [log[f"ended_{name}"].tolist() for name in ("diverged", "fall", "power", "limit")]
+    assert ends == [[False, True, False], [True, False, True], [False] * 3, [False] * 3]
+
+
+@POISONS
 def test_divergence_leaves_the_others_alone(poison):
     """The other robots have the same bits, now and later, as in a world without the poison; robot 1 lives on."""
     env, twin = make(3), make(3)

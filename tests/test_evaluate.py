@@ -224,7 +224,7 @@ def test_fig6_by_hand(runs, monkeypatch):
             yield np.zeros(2), dict(v_x=np.array([t, t + 1.0])), np.array([True, t <= 10]), np.array([False, t == 10])
 
     loaded, env = [], SimpleNamespace(period=0.02, env_cfg=tasks.task_config("velocity"))
-    monkeypatch.setattr(measure, "load", lambda *arguments, **_: loaded.append(arguments) or ("policy", env))
+    monkeypatch.setattr(measure, "load", lambda *arguments, robot: loaded.append(arguments) or ("policy", env))
     monkeypatch.setattr(measure, "steps", steps)
     run("fig6", runs["velocity"], "--episodes", 2, "--clip", "torque", "--roughness", 0.08)
     assert [(row["time"], row["v_x"]) for row in table("fig6.csv")] == [("0.17", "9"), ("0.51", "26")]
@@ -609,8 +609,8 @@ def test_a_fifth_task_needs_no_entry_but_its_own(runs, monkeypatch):
     folder = make_run(Path("fifth"), "fifth")
     (folder / "metrics.csv").write_text("iteration,steps,reward,time_s\n1,10,1,1\n")
     run(folder, "--episodes", 11)
-    status = {what: evaluate.main([what, "fifth", "--episodes", "11"]) for what in evaluate.FIGURES}
-    assert (status["fig2"], status["table1"], status["seeds"]) == (2, 2, 0) and set(status.values()) == {0, 2}
+    for what in evaluate.FIGURES.keys() - {"gait", "joints", "robust"}:  # which know any task, and take their time
+        assert evaluate.main([what, "fifth", "--episodes", "11"]) == (0 if what == "seeds" else 2), what
 
 
 @pytest.mark.parametrize("episodes", [0, -3, 10**6])

@@ -186,7 +186,7 @@ class FakeRenderer(nullcontext):
     def __init__(self, model, height, width):
         self.shape, self.rng, self.enter_result = (height, width, 3), np.random.default_rng(0), self
 
-    def update_scene(self, data, camera):
+    def update_scene(self, data, camera, options):
         pass
 
     def render(self):
@@ -251,7 +251,7 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, t
 
 @pytest.mark.parametrize("argv, warns", [("--command 1.5 0 0", "1.5"), ("--command 0.5 0 0", ""), ("", "")])
 def test_a_command_that_was_not_trained_is_a_warning(runs, monkeypatch, capsys, argv, warns):
-    monkeypatch.setattr(play, "HEADLESS", False)
+    monkeypatch.setattr(play, "check_drawing", lambda gif: None)
     monkeypatch.setattr(play, "watch", lambda *_: None)
     assert play.main([str(runs["flat"]), *argv.split()]) == 0
     lines = capsys.readouterr().err.splitlines()

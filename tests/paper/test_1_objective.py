@@ -153,16 +153,21 @@ def test_estimate_replaces_what_is_not_finite():
     The nan is in the sums of the steps 0 and 1 as well, so the samples 1 and 3, counted along the rows of (0, 1),
     (2, 3), (4, 5), are dropped. The ones before them, 0 and 2, stand there: 1 + 2/4 + 4/16 = 1.75 and 2 + 4/4 = 3.
     J is the mean of 1.75, 1.75, 3, 3, 4 and 16. With the nan in environment 0, no sample is before 0, and 1 stands in.
+    An action that is nan costs its own sample alone, and the log-probability of the others, -log(2 pi) / 2, stays.
     """
-    for reward, sample, advantage in (
-        ([[1, 8], [2, np.nan], [4, 16]], [[0, 0], [2, 2], [4, 5]], [[1.75, 1.75], [3, 3], [4, 16]]),
-        ([[8, 1], [np.inf, 2], [16, 4]], [[1, 1], [1, 3], [4, 5]], [[1.75, 1.75], [1.75, 3], [16, 4]]),
+    for reward, action, sample, advantage in (
+        ([[1, 8], [2, np.nan], [4, 16]], 0.0, [[0, 0], [2, 2], [4, 5]], [[1.75, 1.75], [3, 3], [4, 16]]),
+        ([[8, 1], [np.inf, 2], [16, 4]], 0.0, [[1, 1], [1, 3], [4, 5]], [[1.75, 1.75], [1.75, 3], [16, 4]]),
+        ([[1, 1], [2, 2], [4, 4]], np.nan, [[0, 1], [2, 2], [4, 5]], [[1.75, 1.75], [3, 3], [4, 4]]),
     ):
         zero, never = np.zeros((3, 2, 1), np.float32), np.zeros((3, 2), bool)
-        tau = Rollout(zero, zero, zero, np.float32(reward)[..., None], never, never, (zero[0],) * 2, (zero[0, :0],) * 2)
+        after, final, actions, reward = (zero[0],) * 2, (zero[0, :0],) * 2, zero.copy(), np.float32(reward)[..., None]
+        actions[1, 1] = action
+        tau = Rollout(zero, zero, actions, reward, never, never, after, final)
         estimate = eipo.estimate(handmade(critic=((0.0,), (0.0,))), tau, EIPO)
         assert estimate.sample.tolist() == sample
         assert estimate.advantage[..., 0].tolist() == estimate.target[..., 0].tolist() == advantage
+        assert estimate.log_prob == pytest.approx(np.full((3, 2), -0.9189385))
         assert float(eipo.estimate_J(estimate)) == pytest.approx(np.mean(advantage), rel=1e-6)
 
 
