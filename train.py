@@ -36,6 +36,8 @@ def stop_at_once(why):
     os._exit(130)
 
 
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
     signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))  # imports take seconds
 
