@@ -22,6 +22,7 @@ import numpy as np
 import optax
 
 from networks import init_mlp, log_prob, policy, value
+from parallel import average, compiled, own_key, own_seed
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
@@ -59,9 +60,10 @@ class Config:
     hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
 
 
-def check(cfg):
-    """Raise ValueError, in one line, for a Config that cannot train."""
+def check(cfg, processes=1):
+    """Raise ValueError, in one line, for a Config that cannot train, on so many processes."""
     policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
+    shares = policies * processes
     ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
     ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE, num_epochs=(1, 1000))
     for field in fields(cfg):
@@ -78,7 +80,9 @@ def check(cfg):
         (policies == 1 and cfg.alpha0 is not None, "PPO's alpha is 1 / lam: give --lam instead of alpha0"),
         (policies == 2 and cfg.lam == 0, "EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo"),
         (cfg.num_envs % policies, f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even"),
-        (cfg.num_steps * cfg.num_envs // policies < cfg.num_minibatches,
+        (cfg.num_envs % shares, f"num_envs is {cfg.num_envs}: {processes} processes have equal shares for each policy, "
+                                f"so it must be a multiple of {shares}"),
+        (cfg.num_steps * cfg.num_envs // shares < cfg.num_minibatches,
          "num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs"),
         (cfg.num_steps * cfg.num_envs > 2**21,  # a sample takes some kB
          f"num_steps is {cfg.num_steps} and num_envs {cfg.num_envs}: a rollout has at most {2**21} samples"),
@@ -199,7 +203,7 @@ def sound(state, cfg):
 
 def iteration_keys(cfg, iteration):
     """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of pi and pi_prime."""
-    return jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), iteration), 4)
+    return jax.random.split(own_key(jax.random.fold_in(jax.random.key(cfg.seed), iteration)), 4)
 
 
 def summary(iteration, est, dual, cfg):
@@ -207,7 +211,8 @@ def summary(iteration, est, dual, cfg):
 
     task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer matters.
     """
-    task, cost = est.advantage.std((0, 1)) * np.array([dual.alpha * cfg.lam if cfg.lam else 1.0, float(cfg.lam > 0)])
+    weights = np.array([dual.alpha * cfg.lam if cfg.lam else 1.0, float(cfg.lam > 0)])
+    task, cost = average(est.advantage.std((0, 1))) * weights
     steps = iteration * cfg.num_steps * cfg.num_envs
     return dict(steps=steps, J=estimate_J(est), alpha=dual.alpha, task_share=task / (task + cost + 1e-30))
 
@@ -219,7 +224,7 @@ def init_state(env, env_prime, cfg):
     """The State before the first iteration: random policies, alpha_0, reset environments. env_prime: None for PPO."""
 
     def start(env, key, heads, seed):
-        obs, info = env.reset(seed)
+        obs, info = env.reset(own_seed(seed))
         sizes = env.obs_size, env.privileged_size, env.action_size
         return init_learner(key, sizes, heads, cfg), (obs, info["privileged"])
 
@@ -288,7 +293,9 @@ def rollout(env, params, at, key, cfg):
     final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
     tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), at, final)
     columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
-    return tau, at, {name: float(c.sum() if c.dtype == bool else c.mean()) for name, c in columns.items()}
+    counts = jax.process_count()  # times that, because the mean over the processes shall be their sum
+    log = {name: float(counts * c.sum() if c.dtype == bool else c.mean()) for name, c in columns.items()}
+    return tau, at, average(log)
 
 
 # ---- L8, L10, L12: estimates ----
@@ -344,29 +351,35 @@ def estimate_J(estimate):
 
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
-    return estimate.target[..., 0].mean()
+    return average(estimate.target[..., 0].mean())
 
 
 # ---- L9, L11: the PPO update ----
 
 
-@partial(jax.jit, static_argnames="cfg")
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
     """All epochs and minibatches of one iteration; returns the new Learner and the means of what `ppo_loss` logs.
 
     advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
     """
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
                 target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
-    size, sample = advantage.size, estimate.sample.ravel()
-    data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
+    return ppo_epochs(learner, data, estimate.sample, key, cfg)
+
+
+@compiled
+def ppo_epochs(learner, data, sample, key, cfg):
+    """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the processes."""
+    advantage = data["advantage"] - average(data["advantage"].mean())
+    advantage = advantage / (jnp.sqrt(average(jnp.square(advantage).mean())) + 1e-8)
+    size, sample = advantage.size, sample.ravel()
+    data = {name: x.reshape(size, *x.shape[2:]) for name, x in (data | dict(advantage=advantage)).items()}
     orders = jax.vmap(lambda k: jax.random.permutation(k, sample))(jax.random.split(key, cfg.num_epochs))
     minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
     def step(learner, chosen):
         batch = {name: x[chosen] for name, x in data.items()}
-        gradient, log = jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg)
+        gradient, log = average(jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg))
         direction, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
         params = jax.tree.map(lambda p, d: p - learner.lr * d, learner.params, direction)
         params["actor"]["log_std"] = jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)
@@ -374,7 +387,8 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
 
     learner, log = jax.lax.scan(step, learner, minibatches)
     log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
-    log |= dict(dropped=(sample != jnp.arange(size)).sum())  # samples; `skipped` are minibatches, since the start
+    dropped = average(jax.process_count() * (sample != jnp.arange(size)).sum())
+    log |= dict(dropped=dropped)  # samples of all processes; `skipped` are minibatches, since the start
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 

@@ -14,6 +14,7 @@ How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda
 import argparse
 import csv
 import io
+import os
 import shlex
 import sys
 import time
@@ -24,6 +25,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
+
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so what MuJoCo would draw with need not work
 
 import adopt
 import gait

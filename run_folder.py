@@ -38,6 +38,7 @@ import eipo
 import go1
 import go1_env
 import networks
+import parallel
 import tasks
 
 try:
@@ -181,17 +182,23 @@ def checkpoint_arrays(state, envs):
 def save_checkpoint(path, state, envs, cfg):
     """Write checkpoint.npz: learners, optimisers, alpha, and the simulations and random generator of each of envs.
 
-    The entry `settings` is both Configs and the number of JAX's threads, as JSON.
+    The entry `settings` is both Configs and the number of JAX's threads, as JSON. Of several processes all call this
+    and the first one writes; what the i-th has of its own, the simulations and where its rollouts begin, is `i/...`.
     """
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), jax_threads=os.environ.get(JAX_THREADS))
-    arrays = checkpoint_arrays(state, envs) | dict(settings=json.dumps(settings))
-    replace_file(path, lambda file: np.savez(file, **arrays))
+    settings |= dict(processes=jax.process_count()) if jax.process_count() > 1 else {}
+    arrays = checkpoint_arrays(state, envs)
+    others = parallel.gather({name: x for name, x in arrays.items() if name.startswith(("env", "state.at"))})[1:]
+    arrays |= {f"{i}/{name}": x for i, own in enumerate(others, 1) for name, x in own.items()}
+    if jax.process_index() == 0:
+        replace_file(path, lambda file: np.savez(file, **arrays, settings=json.dumps(settings)))
 
 
-def check_settings(folder, env_cfg, cfg):
+def check_settings(folder, env_cfg, cfg, processes=1):
     """The number of JAX's threads, as text, with which the checkpoint was trained; None if it does not say.
 
-    Raises ValueError if the Configs, which are those of config.json, are not those with which it was trained.
+    Raises ValueError if the Configs, which are those of config.json, or the number of processes are not those with
+    which it was trained.
     """
     path = folder / "checkpoint.npz"
     settings = str(read_npz(path).get("settings", "{}"))
@@ -204,12 +211,19 @@ def check_settings(folder, env_cfg, cfg):
         for name, was in record.items():
             if name != "iterations" and (x := getattr(config, name, None)) != was:  # --resume may raise iterations
                 raise ValueError(f"{folder / 'config.json'} says {name} {x}, but the run has {was}: set it back")
+    if (was := trained.get("processes", 1)) != processes:
+        raise ValueError(f"{folder} is a run on {was} process(es), not {processes}: --resume needs as many")
     return trained.get("jax_threads")
 
 
 def load_checkpoint(path, template, envs):
-    """The State in checkpoint.npz; envs are restored in place. template: any State of the same configuration."""
-    arrays = read_npz(path)
+    """The State in checkpoint.npz; envs are restored in place. template: any State of the same configuration.
+
+    Of several processes all call this, the first one reads, and each gets what is its own.
+    """
+    process = jax.process_index()
+    arrays = parallel.gather({} if process else read_npz(path))[0]
+    arrays |= {name.removeprefix(f"{process}/"): x for name, x in arrays.items() if name.startswith(f"{process}/")}
 
     def restore(key, like):
         found = arrays["state" + jax.tree_util.keystr(key)]

@@ -7,6 +7,7 @@ checkpoint with --resume. It ends with the same bits as one that was never stopp
 
 import argparse
 import inspect
+import json
 import os
 import re
 import shlex
@@ -14,7 +15,7 @@ import signal
 import socket
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,6 +36,8 @@ def stop_at_once(why):
     os._exit(130)
 
 
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
     signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))  # imports take seconds
 
@@ -43,6 +46,7 @@ import jax
 import eipo
 import go1_env
 import networks
+import parallel
 import run_folder
 import tasks
 
@@ -55,6 +59,9 @@ class Options:
     resume: bool = False  # [ours] continue the run in the folder; only --iterations can be changed, and only raised
     threads: int | None = None  # [ours] threads that step the physics; by default one for every core
     checkpoint_every: int = 50  # [ours] iterations between two checkpoints
+    coordinator: str | None = None  # [ours] HOST:PORT on which process 0 meets the others of a run on several processes
+    processes: int | None = None  # [ours] how many these are; each steps an equal share of the environments
+    process: int | None = None  # [ours] which of them this one is, from 0; only process 0 needs the run folder
 
 
 CONFIGS = (Options, tasks.Config, eipo.Config)
@@ -135,19 +142,33 @@ def run_path(options, env_cfg, cfg):
 
 
 def prepare(options, given_env, given_learner):
-    """Make the run folder, or check that what it holds fits; returns folder, tasks.Config, eipo.Config."""
+    """Check what is given, and that it fits what the run folder holds; returns folder, tasks.Config, eipo.Config."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
     env_cfg, cfg = settle(given_env, given_learner)
     folder = run_path(options, env_cfg, cfg)
+    if options.resume and options.process:
+        return folder, env_cfg, cfg  # process 0 tells what the folder holds
     if options.resume:
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
-    eipo.check(cfg)
+    eipo.check(cfg, max(1, options.processes or 1))
     tasks.check(cfg.num_envs, env_cfg, options.threads)
-    folder.mkdir(parents=True, exist_ok=True)
     return folder, env_cfg, cfg
+
+
+def agree(options, env_cfg, cfg):
+    """tasks.Config and eipo.Config of process 0, for all processes. ValueError if another one has other flags."""
+    mine = dict(resume=options.resume, checkpoint_every=options.checkpoint_every) | asdict(env_cfg) | asdict(cfg)
+    first, *others = (json.loads(str(own["flags"])) for own in parallel.gather(dict(flags=json.dumps(mine))))
+    for process, other in enumerate(others, 1):
+        for name, x in first.items():
+            resumed = options.resume and name not in ("resume", "checkpoint_every")  # then process 0 read all others
+            if other[name] != x and not resumed:
+                flag = "--" + name.replace("_", "-")
+                raise ValueError(f"process {process} has {flag} {other[name]}, not {x}: give all the same flags")
+    return [config(**run_folder.tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]]
 
 
 def repeat_arithmetic(threads):
@@ -167,6 +188,8 @@ def repeat_arithmetic(threads):
 def save(folder, state, envs, cfg, params):
     """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
+    if jax.process_index():
+        return  # process 0 writes
     run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
     try:
         run_folder.draw_curves(folder)
@@ -196,35 +219,59 @@ def report(row, first, iterations):
         say(line)
 
 
-def train(folder, env_cfg, cfg, options, command, stop):
-    """Train from the start or the checkpoint to the end, or until `stop.asked`; returns the last iteration."""
-    checkpoint = folder / "checkpoint.npz"
-    if checkpoint.exists() and not options.resume:
-        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
-    repeat_arithmetic(run_folder.check_settings(folder, env_cfg, cfg) if options.resume else None)
+def meet(asked, weights, before):
+    """Whether any process was asked to stop. All get one curriculum: the weights `before` and what each has added."""
+    if jax.process_count() == 1:
+        return asked
+    asked, gain = parallel.average((asked, weights - before))
+    before[:] = weights[:] = (before + jax.process_count() * gain).clip(max=1)
+    return bool(asked > 0)
+
+
+def make_envs(env_cfg, cfg, threads):
+    """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
-    envs = [go1_env.Go1Env(cfg.num_envs // policies, env_cfg, options.threads) for _ in range(policies)]
+    share = cfg.num_envs // policies // jax.process_count()
+    envs = [go1_env.Go1Env(share, env_cfg, threads) for _ in range(policies)]
     if policies == 2:
         envs[1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
+    return envs
+
+
+def train(folder, env_cfg, cfg, options, command, stop):
+    """Train from the start or the checkpoint to the end; returns the last iteration if `stop.asked` came before it."""
+    checkpoint, lead = folder / "checkpoint.npz", not options.process
+    if checkpoint.exists() and not options.resume and lead:
+        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
+    threads = None
+    if options.resume and lead:
+        threads = run_folder.check_settings(folder, env_cfg, cfg, options.processes or 1)
+    repeat_arithmetic(threads)
+    env_cfg, cfg = agree(options, env_cfg, cfg)
+    envs = make_envs(env_cfg, cfg, options.threads)
     env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
     state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
     if options.resume:
         state = run_folder.load_checkpoint(checkpoint, state, envs)
-    log = run_folder.Log(folder, state.iteration)
-    run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
-    say(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
-    run = eipo.eipo(env, env_prime, cfg, state) if policies == 2 else eipo.ppo(env, cfg, state)
-    first = None
+    if lead:
+        log, first = run_folder.Log(folder, state.iteration), None
+        run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
+        say(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
+    weights, before = envs[0].state.weights, envs[0].state.weights.copy()
+    run = eipo.eipo(env, env_prime, cfg, state) if env_prime else eipo.ppo(env, cfg, state)
     for state, metrics in run:
         stop.worth_saving = True
-        row = log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
-        report(row, first := first or row, cfg.iterations)
-        if stop.asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
-            log.sync()
+        asked = meet(stop.asked, weights, before)
+        if lead:
+            row = log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
+            report(row, first := first or row, cfg.iterations)
+        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
+            if lead:
+                log.sync()
             save(folder, state, envs, cfg, env.dense(state.pi.params))
-        if stop.asked:
+        if asked:
             break
-    return state.iteration
+    return state.iteration if state.iteration < cfg.iterations else None
 
 
 @contextmanager
@@ -271,19 +318,27 @@ def main(argv):
     """Parse, train, report. Returns the exit status."""
     given_options, given_env, given_learner = parse(argv)
     options, command = Options(**given_options), command_line(argv)
+    lead, others = not options.process, (options.coordinator, options.processes, options.process)
     try:
         folder, env_cfg, cfg = prepare(options, given_env, given_learner)
-        with run_folder.lock(folder), stop_at_boundary(folder) as stop:
-            done = train(folder, env_cfg, cfg, options, command, stop)
+        with stop_at_boundary(folder) as stop:
+            if others != (None, None, None):
+                parallel.join(*others)
+            if lead:
+                folder.mkdir(parents=True, exist_ok=True)
+            with run_folder.lock(folder) if lead else nullcontext():
+                stopped = train(folder, env_cfg, cfg, options, command, stop)
     except (ValueError, OSError) as error:
+        if jax.distributed.is_initialized():
+            parallel.leave(" ".join(str(error).split()))
         say(f"train.py: {' '.join(str(error).split())}", sys.stderr)
         return 2
-    if done < cfg.iterations:
+    if stopped and lead:
         again = shlex.join([*command, *([] if options.resume else ["--resume"])])
-        say(f"\nStopped after iteration {done}. Continue with: {again}")
-        return 130
-    say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
-    return 0
+        say(f"\nStopped after iteration {stopped}. Continue with: {again}")
+    elif lead:
+        say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
+    return 130 if stopped else 0
 
 
 if __name__ == "__main__":

@@ -244,6 +244,24 @@ def plain_step(model, robot, action):
     return np.mean(costs)
 
 
+@pytest.mark.parametrize(
+    ("fields", "more"),
+    [
+        (dict(), set()),
+        (dict(task="rough", reward="shaped"), {"task_reward"}),
+        (dict(task="velocity", max_power=800.0), {"ended_power"}),
+        (dict(task="curriculum"), {"ended_power", "command_area"}),
+    ],
+    ids=str,
+)
+def test_log_has_the_columns_of_the_task(fields, more):
+    """One number for each robot: what is averaged are floats, and what is counted are booleans."""
+    usual = {"pitch", "roll", "v_x", "command_x", "power", "ended_fall", "ended_diverged", "ended_limit"}
+    log = still(make(3, **fields))[4]["log"]
+    assert set(log) == usual | more and all(x.shape == (3,) for x in log.values())
+    assert all(x.dtype == (bool if name.startswith("ended_") else float) for name, x in log.items())
+
+
 # ---- the end of an episode ----
 
 

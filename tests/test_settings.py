@@ -1,10 +1,13 @@
 """Settings: those of the paper, those that cannot be, and that the command line tells them apart in one line."""
 
+import os
+import subprocess
+import sys
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from support import error_of, make, still
+from support import ROOT, error_of, make, still
 
 import eipo
 import go1_env
@@ -177,3 +180,11 @@ def test_settings_of_ppo_are_checked_as_ppo():
     eipo.check(few)
     with pytest.raises(ValueError, match="num_minibatches"):
         eipo.check(replace(few, num_minibatches=4))
+
+
+@pytest.mark.parametrize("script", ["train", "evaluate"])
+def test_what_draws_nothing_needs_nothing_to_draw_with(script):
+    """MuJoCo refuses an unknown MUJOCO_GL when it is imported. The scripts that draw no robot do not mind."""
+    command = [sys.executable, str(ROOT / f"{script}.py"), "-h"]
+    done = subprocess.run(command, env=os.environ | dict(MUJOCO_GL="foo"), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "") and "usage:" in done.stdout

@@ -385,15 +385,17 @@ def test_power_limit(limit, ends):
     assert not truncated.any() and not info["log"]["ended_fall"].any()
 
 
-def test_eq11_smoothness_is_the_cost_of_a_step():
-    """Eq. (11) in the loop. At rest: 12 torques of 5 N m, 12 actions of 1 or 2, no acceleration worth mentioning.
+@pytest.mark.parametrize(("qd", "torque"), [(0.0, 5.0), (1.0, 4.3)])
+def test_eq11_smoothness_is_the_cost_of_a_step(qd, torque):
+    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small qdd.
 
     2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is logged all the same.
     """
     env = quiet(aux="smooth")
+    place(env, qd=qd)
     info = env.step(QUARTER)[4]
-    qdd = env.qvel[0, 6:] / 4e-9
-    assert info["cost"] == pytest.approx(0.3 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
+    qdd = (env.qvel[0, 6:] - qd) / 4e-9
+    assert info["cost"] == pytest.approx(2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
     assert info["log"]["power"][0] > 200
 
 

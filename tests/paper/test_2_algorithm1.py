@@ -192,6 +192,20 @@ def test_algorithm1_policies_share_no_luck(with_effort):
     assert np.unique(np.round(noise, 4)).size > 0.95 * np.size(noise)
 
 
+def test_algorithm1_uses_no_key_twice(monkeypatch):
+    """Two iterations of two rollouts and two updates, each of which shuffles: eight keys."""
+    keys = []
+    for name, place in (("rollout", 3), ("ppo_update", 4)):
+
+        def spy(*args, function=getattr(eipo, name), place=place):
+            keys.append(tuple(jax.random.key_data(args[place]).tolist()))
+            return function(*args)
+
+        monkeypatch.setattr(eipo, name, spy)
+    run(Probe(near_half, effort), Probe(near_half, effort))
+    assert len(keys) == len(set(keys)) == 8
+
+
 def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha(with_effort):
     """Its metrics are those of EIPO, but for the gap and what is of pi_prime."""
     (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
@@ -318,16 +332,16 @@ def test_algorithm1_drops_a_sample_that_is_not_finite(name, value, dropped):
     assert not trees_equal(start.pi.params["actor"], end.pi.params["actor"])
 
 
-@pytest.mark.parametrize("culprit", ["pi", "pi_prime"])
-def test_algorithm1_ends_when_nothing_was_learned_for_ten_iterations(culprit):
+@pytest.mark.parametrize(("algo", "culprit"), [("eipo", "pi"), ("eipo", "pi_prime"), ("ppo", "pi")])
+def test_algorithm1_ends_when_nothing_was_learned_for_ten_iterations(algo, culprit):
     """Rewards are never a number. 10 iterations of 4 x 2 minibatches were skipped: the tenth State is not given away.
 
     Up to the ninth, networks and alpha are what they were, so that a checkpoint of them is worth as much as the first.
     """
-    envs = Faulty("reward", np.nan, always=True), Probe(near_half, effort)
-    seen = []
+    envs, seen = [Faulty("reward", np.nan, always=True), Probe(near_half, effort)], []
+    steps = eipo.ppo(envs[0], EIPO) if algo == "ppo" else eipo.eipo(*(envs if culprit == "pi" else envs[::-1]), EIPO)
     with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iterations: [^\n]+$"):
-        seen.extend(eipo.eipo(*(envs if culprit == "pi" else envs[::-1]), EIPO))
+        seen.extend(steps)
     assert [state.iteration for state, _ in seen] == list(range(1, 10))
     (first, _), (last, log) = seen[0], seen[-1]
     assert log["skipped" if culprit == "pi" else "prime_skipped"] == 9 * 4 * 2

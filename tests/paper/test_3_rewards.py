@@ -118,14 +118,14 @@ def test_maximum_and_leading_shape(function, best):
     ("frame", "expected"), [("heading", (1.0, 0.5, 0.25)), ("body", (0.75**0.5, 0.5, 0.25 * 0.75**0.5))]
 )
 def test_velocity_over_ground(frame, expected):
-    """D25. Heading along the world's y, nose up by 30 degrees; 1 m/s along y, 1/2 m/s to its left, yaw 1/4 rad/s.
+    """D25. Heading along (0.8, 0.6), nose up by 30 degrees, yaw 1/4 rad/s; (0.8, 0.6) + (-0.6, 0.8) / 2 = (0.5, 1) m/s.
 
     Over ground that is (1, 1/2) m/s and 1/4 rad/s. In the body's frame cos 30 of the speed ahead and of the yaw rate
     are left: the rest looks like falling and rolling.
     """
-    env, turned = make(1), Rotation.from_euler("ZY", [90, -30], degrees=True)
+    env, turned = make(1), Rotation.from_euler("ZY", [np.arctan2(0.6, 0.8), -np.pi / 6])
     rates = turned.apply([0.0, 0.0, 0.25], inverse=True)
-    place(env, quaternion=turned.as_quat(scalar_first=True), velocity=(-0.5, 1.0, 0.0), rates=rates)
+    place(env, quaternion=turned.as_quat(scalar_first=True), velocity=(0.5, 1.0, 0.0), rates=rates)
     assert env.tracked_velocity(frame)[0] == pytest.approx(expected, abs=1e-6)
 
 

@@ -320,13 +320,14 @@ def test_ppo_clips_gradients_per_network():
 def test_ppo_clips_the_norm_at_max_grad_norm():
     """Gradients (3, 4) of norm 5 and (3/8, 4/8) of norm 5/8: clipped to (0.6, 0.8), and untouched.
 
-    Adam's mean starts at 1/10 of that, and its first direction is 1 up every slope.
+    Adam's mean starts at 1/10 of that, its mean square at 1/1000, and its first direction is 1 up every slope.
     """
     gradient = dict(actor=jnp.array([3.0, 4.0]), critic=jnp.array([0.375, 0.5]), estimator=jnp.zeros(2))
     step, state = eipo.optimizer(EIPO).update(gradient, eipo.optimizer(EIPO).init(gradient))
-    mean = optax.tree_utils.tree_get(state, "mu")
+    mean, square = (optax.tree_utils.tree_get(state, name) for name in ("mu", "nu"))
     assert mean["actor"].tolist() == pytest.approx([0.06, 0.08])
     assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
+    assert square["actor"].tolist() == pytest.approx([0.36e-3, 0.64e-3])
     assert step["actor"].tolist() == pytest.approx([1.0, 1.0], rel=1e-4)
 
 
