@@ -111,7 +111,7 @@ def test_make_ground():
     ground = make_ground([0.0, 0.05, 0.15])
     assert ground.shape == (120, 360)
     assert [np.ptp(block(ground, k)) for k in range(3)] == pytest.approx([0.0, 0.05, 0.15], rel=1e-12)
-    assert (make_ground([0.0, 0.05, 0.15]) == ground).all()
+    assert (make_ground([0.0, 0.05, 0.15], seed=0, cells_per_m=4) == ground).all()
     for other in (dict(seed=1), dict(cells_per_m=2)):
         assert (make_ground([0.0, 0.05, 0.15], **other) != ground)[:, 120:].mean() > 0.9
 
@@ -148,6 +148,7 @@ def test_ground_has_no_step_at_the_edge_of_a_tile():
 def test_origin_by_hand():
     """A tile every 4 + 2 * 1 m along x, each behind its apron of 1 m."""
     assert origin(np.array([0, 1, 15])).tolist() == [[1.0, 1.0], [7.0, 1.0], [91.0, 1.0]]
+    assert origin(np.array([[0], [1]])).tolist() == [[[1.0, 1.0]], [[7.0, 1.0]]] and origin(1).tolist() == [7.0, 1.0]
 
 
 def test_wrap_by_hand():
@@ -178,6 +179,8 @@ def test_wrap_by_hand():
         (0.05, 0.025, 4.5),  # from 1 to 8
         (0.025, 0.025, 2.75),  # amid 0, 1, 2, 8
         (0.0875, 0.05, 14.0),  # three quarters from 8 to 16
+        (0.125, 0.0, 4.0),  # beyond the edge it goes on level
+        (-0.025, 0.075, 2.0),
     ],
 )
 def test_height_by_hand(x, y, value):

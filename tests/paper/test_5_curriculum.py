@@ -29,8 +29,9 @@ def test_start_is_within_one_metre_and_one_radian_per_second():
     [
         ({}, [(1, 1)], [[0.2, 0.2, 0.2], [0.2, 0.4, 0.2], [0.2, 0.2, 0.2]]),
         ({(0, 0): 0.5}, [(0, 0), (0, 0)], [[1.0, 0.4, 0.0], [0.4, 0.4, 0.0], [0.0, 0.0, 0.0]]),
+        ({}, [(2, 2)], np.pad([[0.2, 0.2, 0.2], [0.2, 0.4, 0.2], [0.2, 0.2, 0.2]], 1)),
     ],
-    ids=["amid", "in a corner"],
+    ids=["amid", "in a corner", "far from an edge"],
 )
 def test_update_by_hand(weights, successes, after):
     """A success in the middle of 3 x 3: 0.2 for its cell and 0.2 for all nine, so 0.4 amid 0.2. A failure is nothing.
@@ -38,7 +39,7 @@ def test_update_by_hand(weights, successes, after):
     Two in one corner count twice, nothing grows out at the other side, and weights stop at 1.
     """
     cell, success = np.array([*successes, (2, 2)]), np.array([True] * len(successes) + [False])
-    assert curriculum.update(grid(weights, (3, 3)), cell, success) == pytest.approx(np.array(after))
+    assert curriculum.update(grid(weights, np.shape(after)), cell, success) == pytest.approx(np.array(after))
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_summarise_without_an_interval():
     row = measure.summarise("x", [np.full(8, 2.0)])
     assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(row["x_seeds_low"])
     *numbers, n = measure.summarise("x", [np.array([np.nan])]).values()
-    assert all(np.isnan(numbers)) and n == 0
+    assert len(numbers) == 6 and all(np.isnan(numbers)) and n == 0
 
 
 def test_iqm_does_not_see_rare_falls_but_the_mean_does():
