@@ -56,6 +56,7 @@ def exchange(env, env_prime, cfg, state=None):
         borrowed = eipo.estimate(pi.params, tau_both, cfg)  # L8: by pi's critic
         weight = jnp.minimum(1.0, jnp.exp(borrowed.log_prob - est_prime.log_prob))
         both = eipo.Estimate(*(jnp.concatenate(pair, 1) for pair in zip(est, borrowed, strict=True)))
+        both = both._replace(sample=jnp.arange(both.log_prob.size).reshape(both.log_prob.shape))
         tau_pi = eipo.Rollout(*(jnp.concatenate(pair, 1) for pair in zip(tau[:6], tau_both[:6], strict=True)),
                               tau.after, tau.final)  # fmt: skip
         objective = normalised(eipo.mix(both.advantage, dual.alpha, cfg.lam))
