@@ -154,9 +154,9 @@ def loop(c):
     boxes = {  # x, y, half a width, text
         "pi": (0, 4, 0.3, "pi"), "L6": (2.6, 4, 0.8, f"L6 rollout tau\n{n['power']:.0f} W"),
         "L8": (5.7, 4, 0.9, "L8 estimate\nalpha A_r - A_f"), "L9": (9.0, 4, 0.95, "L9 PPO update"),
-        "L12": (4.2, 2.25, 1.35, f"L12 gap J(pi) - J(pi')\n{n['J']:.2f} - {n['J_prime']:.2f} = {n['gap']:.2f}"),
+        "L12": (4.2, 2.25, 1.35, f"L12 gap J(pi) - J(pi')\n{n['J']:.2f} - {n['J'] - n['gap']:.2f} = {n['gap']:.2f}"),
         "L13": (7.0, 2.25, 0.65, "L13 step\nagainst it"), "alpha": (9.3, 2.25, 0.4, f"alpha\n{n['alpha']:.0f}"),
-        "pi'": (0, 0.5, 0.3, "pi'"), "L7": (2.6, 0.5, 0.8, f"L7 rollout tau'\n{n['power_prime']:.0f} W"),
+        "pi'": (0, 0.5, 0.3, "pi'"), "L7": (2.6, 0.5, 0.8, f"L7 rollout tau'\n{n['prime_power']:.0f} W"),
         "L10": (5.7, 0.5, 0.75, "L10 estimate\nA_r"), "L11": (9.0, 0.5, 1.0, "L11 PPO update"),
     }  # fmt: skip
     for x, y, _, text in boxes.values():
@@ -304,7 +304,7 @@ def robot(c):
     """The robot with its joints and two frames; and one leg with its angles, and where its springs pull it."""
     figure = Figure(figsize=(8, 3.9), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.55, 1))
-    across = np.array([[0.86, 0.5, 0.0], [-0.24, 0.41, 0.88]])  # how the page's two axes look at x, y, z
+    across = np.array([[0.88, 0.45, 0.0], [-0.12, 0.34, 0.93]])  # how the page's two axes look at x, y, z
 
     def put(*xyz):
         return across @ np.array(xyz)
@@ -317,8 +317,8 @@ def robot(c):
     for leg, colour in zip(go1.LEGS, (BLUE, "#56b4e9", RED, ORANGE), strict=True):
         left.plot(*points[leg].T, "o-", color=colour, linewidth=4, markersize=6, markerfacecolor="white", zorder=2)
         left.text(*(points[leg][-1] - [0.02, 0.045]), leg, color=colour, ha="center", weight="bold")
-    for i, name in enumerate(("hip", "thigh", "knee: calf joint", "foot")):
-        left.annotate(name, points["FR"][i], points["FR"][i] + [0.14, (0.12, 0.05, -0.01, 0.0)[i]],
+    for i, name in enumerate(("hip", "thigh", "calf", "foot")):
+        left.annotate(name, points["FR"][i], points["FR"][i] + [0.1, (0.12, 0.0, 0.0, 0.0)[i]],
                       arrowprops=dict(arrowstyle="-", color=GREY), fontsize=9, va="center")  # fmt: skip
     for prefix, colour, name in (("body", GREEN, "trunk's frame"), ("heading", "#cc79a7", "heading frame")):
         start = put(c["origin"][0], c["origin"][1], c["origin"][2] if prefix == "body" else 0.0)
@@ -328,7 +328,7 @@ def robot(c):
             left.text(end[0], end[1] + 0.012, axis, color=colour, fontsize=9)
         y = start[1] + (0.19 if prefix == "body" else -0.02)
         left.text(start[0] - 0.01, y, name, color=colour, fontsize=9, ha="right", va="top", zorder=4)
-    left.set(aspect="equal", title="joints, and two frames of reference", ylim=(-0.15, 0.58))
+    left.set(aspect="equal", title="joints, and two frames of reference", ylim=(-0.12, 0.62))
     left.axis("off")
     for key, colour, style, width in (("target", GREY, "o--", 1.5), ("leg", BLUE, "o-", 4)):
         right.plot(c[key + "_x"], c[key + "_z"], style, color=colour, linewidth=width, markersize=7)
