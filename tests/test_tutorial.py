@@ -234,8 +234,8 @@ def test_commands_parse():
             assert {x for x in argv if x.startswith("--")} <= allowed, line
 
 
-SABOTAGE = re.compile(r"@@ (\S+), caught by (\w+) @@\n((?:[-+].*\n)+)> (assert .*)\n")
-SABOTAGES = [SABOTAGE.fullmatch(diff).groups() for diff in blocks("diff")]
+SABOTAGE = re.compile(r"# \d+\. .*\n@@ (\S+), caught by (\w+) @@\n((?:[-+].*\n)+)> (assert .*)\n")
+SABOTAGES = [found.groups() for diff in blocks("diff") for found in SABOTAGE.finditer(diff)]
 
 
 def sabotaged(path, diff):
@@ -247,6 +247,11 @@ def sabotaged(path, diff):
 
 
 EVERY = pytest.mark.parametrize(("file", "test", "diff", "line"), SABOTAGES, ids=[test for _, test, *_ in SABOTAGES])
+
+
+def test_every_exercise_is_tested():
+    assert "".join(SABOTAGE.sub("", diff) for diff in blocks("diff")).strip() == ""
+    assert len(SABOTAGES) >= 6
 
 
 @EVERY

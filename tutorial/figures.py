@@ -321,14 +321,14 @@ def robot(c):
         left.annotate(name, points["FR"][i], points["FR"][i] + [0.1, (0.12, 0.0, 0.0, 0.0)[i]],
                       arrowprops=dict(arrowstyle="-", color=GREY), fontsize=9, va="center")  # fmt: skip
     for prefix, colour, name in (("body", GREEN, "trunk's frame"), ("heading", "#cc79a7", "heading frame")):
-        start = put(c["origin"][0], c["origin"][1], c["origin"][2] if prefix == "body" else 0.0)
+        start = put(*c["origin"]) if prefix == "body" else put(-0.06, 0.0, 0.0)
         for axis in "xyz":
             end = start + across @ c[f"{prefix}_{axis}"]
             left.annotate("", end, start, arrowprops=dict(arrowstyle="-|>", color=colour, linewidth=1.8), zorder=4)
             left.text(end[0], end[1] + 0.012, axis, color=colour, fontsize=9)
-        y = start[1] + (0.19 if prefix == "body" else -0.02)
-        left.text(start[0] - 0.01, y, name, color=colour, fontsize=9, ha="right", va="top", zorder=4)
-    left.set(aspect="equal", title="joints, and two frames of reference", ylim=(-0.12, 0.62))
+        y = start[1] + (0.16 if prefix == "body" else -0.02)
+        left.text(start[0] - 0.05, y, name, color=colour, fontsize=9, ha="right", va="top", zorder=4)
+    left.set(aspect="equal", ylim=(-0.1, 0.57))
     left.axis("off")
     for key, colour, style, width in (("target", GREY, "o--", 1.5), ("leg", BLUE, "o-", 4)):
         right.plot(c[key + "_x"], c[key + "_z"], style, color=colour, linewidth=width, markersize=7)
