@@ -37,6 +37,8 @@ def checksum(text):
 
 def draw(name, **columns):
     """Write the columns to tutorial/NAME.csv and draw them into tutorial/NAME.png."""
+    if any("," in key for key in columns):
+        raise ValueError(f"a column's name has a comma: {list(columns)}")
     text = table(columns)
     (HERE / f"{name}.csv").write_text(text)
     figure = FIGURES[name]({key: np.ravel(x) for key, x in columns.items()})
