@@ -328,8 +328,8 @@ def robot(c):
             end = start + across @ c[f"{prefix}_{axis}"]
             left.annotate("", end, start, arrowprops=dict(arrowstyle="-|>", color=colour, linewidth=1.8), zorder=4)
             left.text(end[0], end[1] + 0.012, axis, color=colour, fontsize=9)
-        y = start[1] + (0.16 if prefix == "body" else -0.02)
-        left.text(start[0] - 0.05, y, name, color=colour, fontsize=9, ha="right", va="top", zorder=4)
+        x, y = start + np.array([-0.13, 0.16] if prefix == "body" else [0.0, -0.02])
+        left.text(x, y, name, color=colour, fontsize=9, ha="center", va="top", zorder=4)
     left.set(aspect="equal", ylim=(-0.1, 0.57))
     left.axis("off")
     for key, colour, style, width in (("target", GREY, "o--", 1.5), ("leg", BLUE, "o-", 4)):
