@@ -26,7 +26,8 @@ SEED = 2024  # of the evaluation's episodes, far from the seeds that training us
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
-
+FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
+ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
 
 watchers = []  # of progress: called with True after each step that is played, with False for episodes that are known
 ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
@@ -145,6 +146,15 @@ def episodes(folder, commands, each, clip=None, roughness=None, nominal=False, r
     for watch in watchers:
         watch(False)
     return Episodes(*np.concatenate([table[rows] for rows in mine])[:, len(ASKED) :].T)
+
+
+def both_starts(folder, task, commands, each, args):
+    """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35).
+
+    args: clip, roughness and robot as for `load`, where a roughness of None is that of the paper's evaluation
+    """
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+    return [episodes(folder, commands, each, args.clip, roughness, nominal, args.robot) for nominal in (False, True)]
 
 
 def pack(table):

@@ -31,13 +31,13 @@ except (RuntimeError, AttributeError, OSError) as error:  # MuJoCo does not know
 import numpy as np
 from PIL import Image, ImageDraw
 
-import adopt
 import go1
 import go1_env
 import measure
 import run_folder
 import tasks
 import terrain
+from studies import adopt
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259

@@ -154,7 +154,7 @@ def scripted(monkeypatch):
 
     monkeypatch.setattr(measure, "load", load)
     monkeypatch.setattr(measure, "run_episodes", run_episodes)
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:3])
+    monkeypatch.setattr(measure, "FORWARD", measure.FORWARD[:3])
     return loaded
 
 
@@ -399,7 +399,7 @@ def two_episodes(monkeypatch):
                  pitch=(-2, 4))  # fmt: skip
     columns = {name: np.tile(pairs.get(name, (0, 0)), 2) for name in measure.Episodes._fields}
     monkeypatch.setattr(measure, "run_episodes", lambda mean, env, commands: measure.Episodes(**columns))
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:2])
+    monkeypatch.setattr(measure, "FORWARD", measure.FORWARD[:2])
 
 
 def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
@@ -784,7 +784,7 @@ def test_runs_that_are_running_are_left_out(sweep, checkpoint):
 
 def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
     """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
-    monkeypatch.setattr(evaluate, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(evaluate.sweep, "RESULTS", tmp_path / "results")
     every = sweep("fig6", "--iterations", 4)
     folder = fake_run(every[0], 4)
     (folder / "metrics.csv").write_text("iteration\n2\n4\n")
