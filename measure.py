@@ -20,6 +20,7 @@ from scipy import stats
 
 import go1_env
 import networks
+import policy_file
 import run_folder
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
@@ -75,7 +76,7 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads
     nominal: start from the nominal pose at rest, not from random poses and velocities as in training (D35)
     robot, changes: another model of the robot, see Go1Env, and fields of its Config that differ from training
     """
-    params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
+    params, env_cfg = policy_file.load(Path(folder) / "policy.npz")
     world = replace(evaluated(env_cfg, clip, roughness, nominal), **changes)
     return deterministic(params), go1_env.Go1Env(num_episodes, world, threads, robot)
 
@@ -135,11 +136,11 @@ def episodes(folder, commands, each, clip=None, roughness=None, nominal=False, r
     table = unpack(folder / run_folder.EPISODES)
     mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
     if any(rows.sum() != each for rows in mine):
-        stamp = run_folder.stamp(folder)
+        stamp = policy_file.stamp(folder)
         played = run_episodes(*load(folder, each * len(asked), clip, roughness, nominal), np.repeat(commands, each, 0))
         new = np.column_stack([np.repeat(asked, each, 0), *played])
         data = pack(np.concatenate([table[~np.any(mine, 0)], new]))
-        if stamp == run_folder.stamp(folder):  # a training that saves another policy meanwhile makes these void
+        if stamp == policy_file.stamp(folder):  # a training that saves another policy meanwhile makes these void
             with suppress(OSError):  # who may not write there plays again the next time
                 run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
         return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)

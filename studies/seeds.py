@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import measure
+import metrics
 import run_folder
 from studies import sweep
 
@@ -29,16 +30,16 @@ def overview(folder, args):
     return row | {f"v_x_at_{x:g}": speed for x, speed in speeds if len(commands) > 1}
 
 
-def reached(metrics, level):
+def reached(columns, level):
     """Million environment steps, and minutes, after which the mean reward of 20 iterations is at a level, or NaN."""
-    if (np.diff(metrics["iteration"]) > 1).any():
+    if (np.diff(columns["iteration"]) > 1).any():
         return np.nan, np.nan  # only every tenth row was kept
-    means = np.convolve(metrics["reward"], np.ones(20) / 20, "valid")
+    means = np.convolve(columns["reward"], np.ones(20) / 20, "valid")
     if not (means >= level).any():
         return np.nan, np.nan
-    at, seconds = np.argmax(means >= level) + 19, np.diff(metrics["time_s"], prepend=0.0)
-    seconds = np.where(seconds < 0, metrics["time_s"], seconds)  # the clock starts anew where a run was resumed
-    return metrics["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
+    at, seconds = np.argmax(means >= level) + 19, np.diff(columns["time_s"], prepend=0.0)
+    seconds = np.where(seconds < 0, columns["time_s"], seconds)  # the clock starts anew where a run was resumed
+    return columns["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
 
 
 def seeds(folders, args):
@@ -46,11 +47,11 @@ def seeds(folders, args):
     rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
     axes = figure.subplots()
     for folder in map(Path, folders):
-        metrics, task = run_folder.read_metrics(folder), run_folder.load_config(folder)[0].task
+        columns, task = metrics.read(folder), run_folder.load_config(folder)[0].task
         times = {f"{unit}_{level}": x for level in LEVELS.get(task, ())
-                 for unit, x in zip(("msteps", "minutes"), reached(metrics, level), strict=True)}  # fmt: skip
+                 for unit, x in zip(("msteps", "minutes"), reached(columns, level), strict=True)}  # fmt: skip
         rows.append(overview(folder, args) | times)
-        axes.plot(metrics["steps"] / 1e6, metrics["reward"], label=folder.name, linewidth=0.8)
+        axes.plot(columns["steps"] / 1e6, columns["reward"], label=folder.name, linewidth=0.8)
     axes.set(xlabel="million steps", ylabel="task reward per step of pi")
     axes.legend(fontsize=7)
     axes.grid(alpha=0.3)

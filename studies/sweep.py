@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
+import metrics
 import run_folder
 import train
 
@@ -100,4 +101,4 @@ def progress(argv):
 
 def last(folder):
     """The last iteration in a run's metrics.csv."""
-    return run_folder.read_metrics(folder).get("iteration", [0])[-1]
+    return metrics.read(folder).get("iteration", [0])[-1]

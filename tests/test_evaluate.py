@@ -23,6 +23,7 @@ from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of
 import eipo
 import evaluate
 import measure
+import policy_file
 import rewards
 import run_folder
 import tasks
@@ -362,12 +363,12 @@ def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
     folder = runs["flat"]
     kept = folder / run_folder.EPISODES
     measure.episodes(folder, TWO, 1)
-    run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+    policy_file.save(folder / "policy.npz", *policy_file.load(folder / "policy.npz"))
     assert not kept.exists()
     play = measure.run_episodes
 
     def meanwhile(*arguments):
-        run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+        policy_file.save(folder / "policy.npz", *policy_file.load(folder / "policy.npz"))
         return play(*arguments)
 
     monkeypatch.setattr(measure, "run_episodes", meanwhile)
@@ -526,7 +527,7 @@ def test_whole_numbers_stand_for_floats_in_a_config(runs):
 
 def test_every_run_in_results_can_be_read():
     policies = list(ROOT.glob("results/*/*/policy.npz"))
-    assert len(policies) > 3 and all(run_folder.load_policy(policy) for policy in policies)
+    assert len(policies) > 3 and all(policy_file.load(policy) for policy in policies)
     configs = list(ROOT.glob("results/*/*/config.json"))
     assert len(configs) > 5 and all(run_folder.load_config(config.parent) for config in configs)
 
