@@ -14,6 +14,7 @@ import pytest
 from support import ROOT, TINY, error_of
 
 import eipo
+import metrics
 import parallel
 import run_folder
 import train
@@ -92,8 +93,8 @@ def ended(processes, seconds=SECONDS):
 
 def wait_for_rows(folder, processes, rows):
     """Until metrics.csv has so many."""
-    metrics, end = folder / "metrics.csv", time.monotonic() + SECONDS
-    while not metrics.exists() or metrics.read_text().count("\n") <= rows:
+    table, end = folder / "metrics.csv", time.monotonic() + SECONDS
+    while not table.exists() or table.read_text().count("\n") <= rows:
         assert time.monotonic() < end and all(process.poll() is None for process in processes)
         time.sleep(0.002)
 
@@ -122,7 +123,7 @@ def test_two_processes_hold_one_learner_and_environments_of_their_own(finished):
     expected = first | {f"1/{name}": second[name] for name in set(second) - common | {"env0.weights", "env1.weights"}}
     assert set(expected) | {"settings"} == set(stored)
     assert [name for name, x in expected.items() if x.tobytes() != stored[name].tobytes()] == []
-    columns = run_folder.read_metrics(finished)
+    columns = metrics.read(finished)
     assert columns["iteration"].tolist() == list(range(1, 13)) and columns["steps"][-1] == 12 * 4 * 8
 
 
@@ -210,7 +211,7 @@ def test_a_stop_that_one_is_asked_for_stops_both(finished, tmp_path):
     wait_for_rows(folder, processes, 5)
     processes[1].send_signal(signal.SIGTERM)
     assert ended(processes)[0] == [130, 130]
-    assert 5 <= len(run_folder.read_metrics(folder)["iteration"]) < 12
+    assert 5 <= len(metrics.read(folder)["iteration"]) < 12
     resumes(finished, folder)
 
 
