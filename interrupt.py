@@ -1,9 +1,11 @@
 """Ctrl-C, SIGTERM, a closed terminal: how a run ends when it is told to, and how it says so."""
 
+import ctypes
 import os
 import signal
 import socket
 import sys
+import tempfile
 import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -61,3 +63,32 @@ def stop_at_boundary(folder):
         for number, handler in before.items():
             signal.signal(number, handler)
         send.close()
+
+
+# ---- of one of several processes ----
+
+LEAVING = threading.Lock()
+
+
+def leave(why):
+    """End one of several processes with a line, at once: Python's own way would wait for those that are lost."""
+    LEAVING.acquire()  # for good: the first thread to come says why
+    print(f"train.py: {why}", file=sys.stderr, flush=True)
+    os._exit(2)
+
+
+def leave_on_abort(why):
+    """From now on this process leaves where C++ aborts it, with the line that why(text) makes of what C++ had said.
+
+    What C++ says goes to a file and not to stderr, which is left to Python.
+    """
+    said = tempfile.TemporaryFile()  # noqa: SIM115, it is needed to the end
+    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
+    os.dup2(said.fileno(), 2)
+
+    @ctypes.CFUNCTYPE(None, ctypes.c_int)
+    def aborted(_):
+        leave(why(os.pread(said.fileno(), 2**20, 0).decode(errors="replace")))
+
+    ctypes.CDLL(None).signal(signal.SIGABRT, aborted)
+    leave_on_abort.handler = aborted  # keeps it alive

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import get_args
 
-from interrupt import say, stop_at_boundary, stop_imports
+from interrupt import leave, say, stop_at_boundary, stop_imports
 
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
@@ -252,7 +252,7 @@ def main(argv):
                 stopped = train(folder, env_cfg, cfg, options, command, stop)
     except (ValueError, OSError) as error:
         if jax.distributed.is_initialized():
-            parallel.leave(" ".join(str(error).split()))
+            leave(" ".join(str(error).split()))
         say(f"train.py: {' '.join(str(error).split())}", sys.stderr)
         return 2
     if stopped and lead:
