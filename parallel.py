@@ -33,6 +33,7 @@ def join(coordinator, processes, process):
                          f"not {coordinator}, {processes} and {process}")  # fmt: skip
     why = [f"not all of {processes} processes came to {coordinator} within {JOIN} s: check the flags of each"]
     leave_on_abort(lambda said: why[0] if "distributed service" in said else said)  # JAX raises nothing for some losses
+    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM, at which `train` saves and stops
     times = dict(initialization_timeout=JOIN, heartbeat_timeout_seconds=SILENCE, shutdown_timeout_seconds=JOIN)
     try:
         jax.distributed.initialize(coordinator, processes, process, **times)
