@@ -8,18 +8,16 @@
     python evaluate.py robust RUN... --out DIR   what each run loses where masses, friction, delays leave its training
     python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
 
-How policies are measured is in `measure.py`. A run's kind is EIPO or PPO(lambda), with its other cost or reward.
+How policies are measured is in `measure.py`, and which runs a figure needs in `studies/sweep.py`.
 """
 
 import argparse
 import csv
 import io
 import os
-import shlex
 import sys
 import time
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -29,77 +27,14 @@ from matplotlib.figure import Figure
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so what MuJoCo would draw with need not work
 
-import adopt
-import gait
-import joints
 import measure
-import robust
 import run_folder
-import train
+from studies import adopt, gait, joints, robust, seeds, sweep
 
-LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
-KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
-TABLE1 = dict(zip(KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
+TABLE1 = dict(zip(sweep.KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
                           (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
 HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
-EIPO = ("--algo", "eipo")
-PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
-SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each. Table I has
-    # EIPO twice: with as many robots in all as PPO, and with as many per policy
-    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
-    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
-    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
-    fig5=[("curriculum", flags)
-          for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
-    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
-    table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())])  # fmt: skip
-FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
-LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
-RESULTS = Path(__file__).parent / "results"  # where finished runs are kept, in a folder for each task
-ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
-
-
-def by_label(folders, task):
-    """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
-
-    One kind with two numbers of robots is two kinds. Raises ValueError if there are no runs, and for two runs of one
-    kind that differ in more than the seed, or not in it.
-    """
-    configs = {folder: run_folder.load_config(folder) for folder in map(Path, folders)}
-    configs = {folder: both for folder, both in configs.items() if both[0].task == task}
-    if not configs:
-        raise ValueError(f"none of the run folders is of the task {task}")
-    sizes = {}
-    for env_cfg, cfg in configs.values():
-        sizes.setdefault(kind(env_cfg, cfg), set()).add(cfg.num_envs)
-    groups = {}
-    for folder, (env_cfg, cfg) in configs.items():
-        name = kind(env_cfg, cfg)
-        name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
-        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
-    for name, runs in groups.items():
-        (first, settings), *others = runs.items()
-        for folder, other in others:
-            differing = [field for field in settings if settings[field] != other[field]]
-            if differing != ["seed"]:
-                what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
-                raise ValueError(f"{first} and {folder} are both {name} but {what}: give one of them")
-    order = {name: i for i, name in enumerate(KINDS)}
-    return {name: list(groups[name]) for name in sorted(groups, key=lambda x: (order.get(x.split(",")[0], 99), x))}
-
-
-def kind(env_cfg, cfg):
-    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other cost or reward."""
-    name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
-    return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
-
-
-def play(folder, task, commands, each, args):
-    """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35)."""
-    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    starts = (False, True)
-    return [measure.episodes(folder, commands, each, args.clip, roughness, x, args.robot) for x in starts]
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
@@ -110,8 +45,9 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
     """
     each = max(1, args.episodes // len(commands))
     rows = []
-    for name, runs in by_label(folders, task).items():
-        played, nominal = zip(*(play(folder, task, commands, each, args) for folder in runs), strict=True)
+    for name, runs in sweep.by_label(folders, task).items():
+        both = [measure.both_starts(folder, task, commands, each, args) for folder in runs]
+        played, nominal = zip(*both, strict=True)
         for i, command in enumerate(commands):
             mine = slice(i * each, (i + 1) * each)
             row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2], seeds=len(runs), episodes=each)
@@ -152,7 +88,7 @@ def draw_panels(rows, panels):
 
 def fig2(folders, args, task="flat"):
     """Task performance and energy per velocity (D27) on flat ground, by command. Section V-A."""
-    rows = by_command(folders, task, FORWARD, ("performance", "energy"), args)
+    rows = by_command(folders, task, measure.FORWARD, ("performance", "energy"), args)
     return rows, draw_panels(rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")])
 
 
@@ -166,7 +102,7 @@ def fig4(folders, args):
     tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
     if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
         raise ValueError("none of the run folders is of the task flat or rough")
-    rows = [row for task in tasks for row in by_command(folders, task, FORWARD, ("performance",), args)]
+    rows = [row for task in tasks for row in by_command(folders, task, measure.FORWARD, ("performance",), args)]
     return rows, draw_panels(rows, [(task, "performance", "task performance") for task in tasks])
 
 
@@ -194,7 +130,7 @@ def fig6(folders, args):
     Each point is a mean over about a period of the clock, because all robots stride in time with it.
     """
     rows = []
-    for name, runs in by_label(folders, "velocity").items():
+    for name, runs in sweep.by_label(folders, "velocity").items():
         series = []
         for folder in runs:
             policy, env = measure.load(folder, args.episodes, args.clip, args.roughness, robot=args.robot)
@@ -233,71 +169,9 @@ def table1(folders, args):
     return rows, figure
 
 
-def pareto(folders, args):
-    """Speed over ground against energy per metre on `velocity`, a point for each seed; a large point falls often."""
-    rows, figure = [], Figure(figsize=(6, 4.5), layout="constrained")
-    axes = figure.subplots()
-    for i, (name, runs) in enumerate(by_label(folders, "velocity").items()):
-        mine = [overview(folder, args) for folder in runs]
-        rows += [dict(kind=name) | row for row in mine]
-        x, y, fell = ([row[column] for row in mine] for column in ("energy", "v_x", "fell"))
-        axes.scatter(x, y, 20 + 2000 * np.array(fell), alpha=0.6, label=name, marker="osv^D<>pX*Ph"[i % 12])
-    axes.set(xlabel="energy [J/m]", ylabel="speed over ground [m/s]")
-    axes.grid(alpha=0.3)
-    legend = figure.legend(loc="outside right upper", fontsize=8, title="size: falls")
-    for handle in legend.legend_handles:
-        handle.set_sizes([30])
-    return rows, figure
-
-
-def reached(metrics, level):
-    """Million environment steps, and minutes, after which the mean reward of 20 iterations is at a level, or NaN."""
-    if (np.diff(metrics["iteration"]) > 1).any():
-        return np.nan, np.nan  # only every tenth row was kept
-    means = np.convolve(metrics["reward"], np.ones(20) / 20, "valid")
-    if not (means >= level).any():
-        return np.nan, np.nan
-    at, seconds = np.argmax(means >= level) + 19, np.diff(metrics["time_s"], prepend=0.0)
-    seconds = np.where(seconds < 0, metrics["time_s"], seconds)  # the clock starts anew where a run was resumed
-    return metrics["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
-
-
-def overview(folder, args):
-    """One run as a row of means over episodes with random starts or, in columns that say so, with nominal ones.
-
-    Commands are those of Figs. 2 to 4, also on the task `curriculum`. On `velocity` there are none.
-    """
-    env_cfg, cfg = run_folder.load_config(folder)
-    commands = np.zeros((1, 3)) if env_cfg.task == "velocity" else FORWARD
-    each = max(1, args.episodes // len(commands))
-    e, nominal = play(folder, env_cfg.task, commands, each, args)
-    row = dict(run=folder.name, seed=cfg.seed, performance=e.performance.mean(), fell=e.fell.mean())
-    row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
-    row |= {name: measure.finite_mean(getattr(e, name)) for name in ("v_x", "peak", "power", "energy")}
-    row |= {name: np.abs(getattr(e, name)).mean() for name in ("pitch", "roll")}
-    speeds = zip(commands[:, 0], e.v_x.reshape(-1, each).mean(1), strict=True)
-    return row | {f"v_x_at_{x:g}": speed for x, speed in speeds if len(commands) > 1}
-
-
-def seeds(folders, args):
-    """How soon each run of one task learned, and what it does now: its `overview` and its learning curve."""
-    rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
-    axes = figure.subplots()
-    for folder in map(Path, folders):
-        metrics, task = run_folder.read_metrics(folder), run_folder.load_config(folder)[0].task
-        times = {f"{unit}_{level}": x for level in LEVELS.get(task, ())
-                 for unit, x in zip(("msteps", "minutes"), reached(metrics, level), strict=True)}  # fmt: skip
-        rows.append(overview(folder, args) | times)
-        axes.plot(metrics["steps"] / 1e6, metrics["reward"], label=folder.name, linewidth=0.8)
-    axes.set(xlabel="million steps", ylabel="task reward per step of pi")
-    axes.legend(fontsize=7)
-    axes.grid(alpha=0.3)
-    return rows, figure
-
-
 FIGURES = {
     f.__name__: f
-    for f in (fig2, fig3, fig4, fig5, fig6, table1, pareto, seeds, gait.gait, joints.joints, robust.robust)
+    for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds.pareto, seeds.seeds, gait.gait, joints.joints, robust.robust)
 }
 
 
@@ -383,58 +257,14 @@ def draw(what, folders, args):
 
 
 def print_table(folders, args):
-    """The `overview` of each run folder as a row of a Markdown table, with a new head where the columns change."""
+    """The `seeds.overview` of each run folder: a row of a Markdown table, with a new head where the columns change."""
     head = None
     for folder in folders:
-        row = overview(folder, args)
+        row = seeds.overview(folder, args)
         if list(row) != head:
             head = list(row)
             print("|", " | ".join(head), "|\n" + "|---" * len(head) + "|")
         print("|", " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()), "|", flush=True)
-
-
-# ---- the train.py commands that are still to be given ----
-
-
-def missing_runs(what, flags):
-    """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
-    if what not in SWEEPS:
-        raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
-    own |= {flag for _, setting in SWEEPS[what] for flag in setting if flag[:2] == "--"}
-    taken = [flag for flag in flags if flag.split("=")[0] in own]
-    if taken:
-        raise ValueError(f"--commands sets {taken[0]} itself")
-    for task, setting in SWEEPS[what]:
-        for seed in range(3):
-            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            if (so_far := progress(argv)) not in ("running", "done"):
-                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
-
-
-def progress(argv):
-    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started" or "done".
-
-    A run is also done if `evaluate.py ... --out results/TASK` has kept it there.
-    """
-    options, given_env, given_learner = train.parse(argv)
-    env_cfg, cfg = train.settle(given_env, given_learner)
-    folder = train.run_path(train.Options(**options), env_cfg, cfg)
-    if run_folder.running(folder):
-        return "running"
-    kept = RESULTS / env_cfg.task / folder.name
-    with suppress(ValueError):  # nothing was kept there, or something of another version
-        if run_folder.load_config(kept) == (env_cfg, cfg) and last(kept) >= cfg.iterations:
-            return "done"
-    if not (folder / "checkpoint.npz").exists():
-        return ""
-    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
-    return "done" if last(folder) >= cfg.iterations else "started"
-
-
-def last(folder):
-    """The last iteration in a run's metrics.csv."""
-    return run_folder.read_metrics(folder).get("iteration", [0])[-1]
 
 
 def main(argv):
@@ -452,7 +282,7 @@ def main(argv):
     parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (adopt.py)")
     try:
         if argv[:1] == ["--commands"]:
-            print(*missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
+            print(*sweep.missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
             return 0
         args = parser.parse_intermixed_args(argv)
         if not 1 <= args.episodes <= 50_000:
@@ -463,7 +293,7 @@ def main(argv):
         what, *paths = args.runs if args.runs[0] in FIGURES else ("", *args.runs)
         if not paths:
             raise ValueError(f"{what} of which runs? Give run folders")
-        folders, tasks = run_folders(paths), {task for task, _ in SWEEPS.get(what, ())}
+        folders, tasks = run_folders(paths), {task for task, _ in sweep.SWEEPS.get(what, ())}
         played = [x for x in folders if not tasks or run_folder.load_config(x)[0].task in tasks]
         with show_progress(len(played) * (1 if what == "fig6" else 2)):
             draw(what, folders, args) if what else print_table(folders, args)

@@ -45,7 +45,7 @@ def build_model(timestep, ground, robot=None):
     """The MuJoCo model of the robot in go1.xml on a ground; timestep: [s] of the physics.
 
     ground: heights (ny, nx) [m] as terrain.make_ground returns them, or None for a plane
-    robot:  another MjSpec in the place of go1.xml, see adopt.py and robust.py
+    robot:  another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
     """
     spec = mujoco.MjSpec.from_file(str(MODEL)) if robot is None else robot.copy()
     spec.option.timestep = timestep

@@ -60,7 +60,7 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
-    robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py
+    robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
     Raises ValueError for what tasks.check refuses.
     """
 

@@ -20,13 +20,15 @@ from scipy import stats
 
 import go1_env
 import networks
+import policy_file
 import run_folder
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
-
+FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
+ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
 
 watchers = []  # of progress: called with True after each step that is played, with False for episodes that are known
 ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
@@ -74,7 +76,7 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, threads
     nominal: start from the nominal pose at rest, not from random poses and velocities as in training (D35)
     robot, changes: another model of the robot, see Go1Env, and fields of its Config that differ from training
     """
-    params, env_cfg = run_folder.load_policy(Path(folder) / "policy.npz")
+    params, env_cfg = policy_file.load(Path(folder) / "policy.npz")
     world = replace(evaluated(env_cfg, clip, roughness, nominal), **changes)
     return deterministic(params), go1_env.Go1Env(num_episodes, world, threads, robot)
 
@@ -134,17 +136,26 @@ def episodes(folder, commands, each, clip=None, roughness=None, nominal=False, r
     table = unpack(folder / run_folder.EPISODES)
     mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
     if any(rows.sum() != each for rows in mine):
-        stamp = run_folder.stamp(folder)
+        stamp = policy_file.stamp(folder)
         played = run_episodes(*load(folder, each * len(asked), clip, roughness, nominal), np.repeat(commands, each, 0))
         new = np.column_stack([np.repeat(asked, each, 0), *played])
         data = pack(np.concatenate([table[~np.any(mine, 0)], new]))
-        if stamp == run_folder.stamp(folder):  # a training that saves another policy meanwhile makes these void
+        if stamp == policy_file.stamp(folder):  # a training that saves another policy meanwhile makes these void
             with suppress(OSError):  # who may not write there plays again the next time
                 run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
         return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)
     for watch in watchers:
         watch(False)
     return Episodes(*np.concatenate([table[rows] for rows in mine])[:, len(ASKED) :].T)
+
+
+def both_starts(folder, task, commands, each, args):
+    """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35).
+
+    args: clip, roughness and robot as for `load`, where a roughness of None is that of the paper's evaluation
+    """
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+    return [episodes(folder, commands, each, args.clip, roughness, nominal, args.robot) for nominal in (False, True)]
 
 
 def pack(table):

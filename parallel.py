@@ -5,26 +5,21 @@ keep their learners equal to the bit, because every gradient is averaged before 
 them: Gloo between CPUs, NCCL between GPUs. A process takes the first device that it sees.
 """
 
-import ctypes
 import io
-import os
-import signal
-import sys
-import tempfile
-import threading
 from functools import lru_cache, wraps
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.multihost_utils import process_allgather
+from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, PartitionSpec
+
+from interrupt import leave_on_abort
 
 AXIS = PartitionSpec("process")
 JOIN, SILENCE = 60, 20  # s in which all processes must have come, and s after which a silent one counts as ended
 LOST = "another process has ended, see what it said last; --resume goes on from the last checkpoint"
-LEAVING = threading.Lock()
 
 
 def join(coordinator, processes, process):
@@ -37,30 +32,14 @@ def join(coordinator, processes, process):
         raise ValueError("several processes need --coordinator HOST:PORT, --processes P and --process 0 to P - 1, "
                          f"not {coordinator}, {processes} and {process}")  # fmt: skip
     why = [f"not all of {processes} processes came to {coordinator} within {JOIN} s: check the flags of each"]
-    said = tempfile.TemporaryFile()  # noqa: SIM115, it is needed to the end
-    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)  # for Python alone: what C++ says goes to a file
-
-    @ctypes.CFUNCTYPE(None, ctypes.c_int)
-    def aborted(_):  # from C++: JAX has no exception for a coordinator that is lost
-        text = os.pread(said.fileno(), 2**20, 0).decode(errors="replace")
-        leave(why[0] if "distributed service" in text else text)
-
-    os.dup2(said.fileno(), 2)
-    ctypes.CDLL(None).signal(signal.SIGABRT, aborted)
-    join.handler = aborted  # keeps it alive
+    leave_on_abort(lambda said: why[0] if "distributed service" in said else said)  # JAX raises nothing for some losses
+    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM, at which `train` saves and stops
     times = dict(initialization_timeout=JOIN, heartbeat_timeout_seconds=SILENCE, shutdown_timeout_seconds=JOIN)
     try:
         jax.distributed.initialize(coordinator, processes, process, **times)
     except (ValueError, RuntimeError) as error:
         raise ValueError(f"{coordinator} cannot be used, is the port taken? JAX says: {error}") from None
     why[0] = LOST
-
-
-def leave(why):
-    """End one of several processes with a line, at once: Python's own way would wait for those that are lost."""
-    LEAVING.acquire()  # for good: the first thread to come says why
-    print(f"train.py: {why}", file=sys.stderr, flush=True)
-    os._exit(2)
 
 
 def own_key(key):
@@ -77,10 +56,9 @@ def average(tree):
     """The means over the processes of the numbers in tree, in float32; inside of a `compiled` function and outside."""
     if jax.process_count() == 1:
         return tree
-    if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree)):
-        return average_outside(tree, None)
     numbers, unravel = ravel_pytree(jax.tree.map(jnp.float32, tree))  # one message for all
-    return unravel(jax.lax.pmean(numbers, *AXIS))
+    inside = isinstance(numbers, jax.core.Tracer)
+    return unravel(jax.lax.pmean(numbers, *AXIS) if inside else jnp.mean(all_of(numbers), 0))
 
 
 def gather(arrays):
@@ -88,10 +66,15 @@ def gather(arrays):
     if jax.process_count() == 1:
         return [arrays]
     np.savez(file := io.BytesIO(), **arrays)
-    lengths = reached(process_allgather, np.array(len(file.getvalue())))
+    lengths = all_of(np.array(len(file.getvalue())))
     length = -(-lengths.max() // 2**16) * 2**16  # one of few, because JAX compiles anew for each
-    rows = reached(process_allgather, np.frombuffer(file.getvalue().ljust(length, b"\0"), np.uint8))
+    rows = all_of(np.frombuffer(file.getvalue().ljust(length, b"\0"), np.uint8))
     return [dict(np.load(io.BytesIO(row[:n]))) for row, n in zip(rows, lengths, strict=True)]
+
+
+def all_of(array):
+    """The array of every process, (P, ...)."""
+    return reached(multihost_utils.process_allgather, array)
 
 
 def reached(function, *args):
@@ -111,30 +94,20 @@ def compiled(function):
         devices = [next(d for d in jax.devices() if d.process_index == i) for i in range(jax.process_count())]
         mesh = Mesh(devices, tuple(AXIS))
 
-        def one(arrays):
-            return jax.tree.map(lambda x: x[None], function(*jax.tree.map(lambda x: x[0], arrays), cfg))
+        def one(rows):
+            return jax.tree.map(lambda x: x[None], function(*jax.tree.map(lambda x: x[0], rows), cfg))
 
         # check_vma=True would sum gradients over the processes before `average` sees them
-        run = jax.jit(jax.shard_map(one, mesh=mesh, in_specs=(AXIS,), out_specs=AXIS, check_vma=False))
-        return run, NamedSharding(mesh, AXIS)
+        return mesh, jax.jit(jax.shard_map(one, mesh=mesh, in_specs=(AXIS,), out_specs=AXIS, check_vma=False))
 
     @wraps(function)
     def call(*args):
         if jax.process_count() == 1:
             return alone(*args)
         *arrays, cfg = args
-        run, sharding = together(cfg)
-
-        def stack(x):
-            x = jax.device_put(jnp.asarray(x)[None], jax.local_devices()[0])
-            return jax.make_array_from_single_device_arrays((jax.process_count(), *x.shape[1:]), sharding, [x])
-
-        return jax.tree.map(lambda x: x.addressable_data(0)[0], reached(run, jax.tree.map(stack, arrays)))
+        mesh, run = together(cfg)
+        rows = jax.tree.map(lambda x: jnp.asarray(x)[None], arrays)
+        results = reached(run, multihost_utils.host_local_array_to_global_array(rows, mesh, AXIS))
+        return jax.tree.map(lambda x: x.addressable_data(0)[0], results)
 
     return call
-
-
-@compiled
-def average_outside(tree, cfg):
-    """`average` of numbers outside of a `compiled` function."""
-    return average(tree)

@@ -31,13 +31,14 @@ except (RuntimeError, AttributeError, OSError) as error:  # MuJoCo does not know
 import numpy as np
 from PIL import Image, ImageDraw
 
-import adopt
 import go1
 import go1_env
 import measure
+import policy_file
 import run_folder
 import tasks
 import terrain
+from studies import adopt
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
 BACKSPACE = 259
@@ -63,7 +64,7 @@ def play(env, folder, command, follow=False):
     obs, _ = env.reset(0, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded, policy = path.stat().st_mtime_ns, measure.deterministic(run_folder.load_policy(path)[0])
+            loaded, policy = path.stat().st_mtime_ns, measure.deterministic(policy_file.load(path)[0])
         env.state.command[:] = env.state.given[:] = command
         obs, _, _, _, info = env.step(policy(obs))
         yield info["log"]
@@ -187,7 +188,7 @@ def main(argv):
     """Play or draw; returns the exit status."""
     args = parse(argv)
     try:
-        env_cfg = run_folder.load_policy(Path(args.run) / "policy.npz")[1]
+        env_cfg = policy_file.load(Path(args.run) / "policy.npz")[1]
         env = make_env(env_cfg, args.roughness, args.model and adopt.read_robot(args.model))
         command = np.array(args.command or ((1, 0, 0) if env.task.curriculum else env.task.command_high), float)
         if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600 or not 0.1 <= args.slow <= 100:

@@ -14,15 +14,13 @@ or the new one. What cannot be read raises ValueError with one line that says wh
 """
 
 import errno
-import itertools
 import json
 import os
 import platform
 import shlex
 import subprocess
 import sys
-import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -32,12 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import contract
-import curriculum
 import eipo
-import go1
-import go1_env
-import networks
 import parallel
 import tasks
 
@@ -48,12 +41,6 @@ except ImportError:
 
 EPISODES = "episodes.csv.gz"
 JAX_THREADS = "PJRT_NPROC"  # environment variable from which JAX takes its number of threads on a CPU
-
-
-def stamp(folder):
-    """What tells one policy of a run folder from a later one: time and size of policy.npz; None without one."""
-    policy = folder / "policy.npz"
-    return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None
 
 
 def commit():
@@ -197,8 +184,7 @@ def save_checkpoint(path, state, envs, cfg):
 def check_settings(folder, env_cfg, cfg, processes=1):
     """The number of JAX's threads, as text, with which the checkpoint was trained; None if it does not say.
 
-    Raises ValueError if the Configs, which are those of config.json, or the number of processes are not those with
-    which it was trained.
+    Raises ValueError if it was trained with other Configs than these of config.json, or on another number of processes.
     """
     path = folder / "checkpoint.npz"
     settings = str(read_npz(path).get("settings", "{}"))
@@ -235,165 +221,12 @@ def load_checkpoint(path, template, envs):
             kinds = [f"{x.dtype.type.__name__} {x.shape}" for x in (arrays[name], like)]
             if kinds[0] != kinds[1]:
                 raise ValueError(f"{name} is {kinds[0]}, not {kinds[1]}")
-            if name.startswith(("state.pi", "state.dual")) and np.isfinite(like).all():
-                check_finite({name: arrays[name]})
+            learned = name.startswith(("state.pi", "state.dual")) and np.isfinite(like).all()
+            if learned and not np.isfinite(arrays[name]).all():
+                raise ValueError(f"{name} does not hold finite numbers")
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
             env.load({name.removeprefix(f"env{i}."): x for name, x in arrays.items() if name.startswith(f"env{i}.")})
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a checkpoint of this run: {error}") from None
     return state
-
-
-def save_policy(path, params, env_cfg):
-    """Write policy.npz: all that it takes to run the policy without JAX and this project, as README shows.
-
-    params: of plain MLPs, as `networks.EvenOdd.dense` returns them. The file has these arrays:
-
-    estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
-    actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
-    log_std                (12,) of the noise in training; a deployed policy takes the mean
-    trace.time ...         50 steps of the policy's own run, from sensors to joint targets: see contract.py
-    frame_scale            (44,) SI units -> observation; the table at the top of go1_env.py lists a frame's entries
-    q_nominal              (12,) [rad]; action_scale (12,) [rad]: joint targets are q_nominal + action_scale * action
-    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, which runs at the rate of the physics
-    config                 tasks.Config as JSON: history H, timestep, physics_steps, action_limit ...
-
-    contract.py says which frame and sign every entry has. Joints: FR, FL, RR, RL x hip, thigh, calf.
-    """
-    layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
-    weights = {f"{net}.{i}.{name}": np.asarray(x, np.float32) for net in layers for i, layer in enumerate(layers[net])
-               for name, x in dict(W=layer.even, b=layer.bias).items()}  # fmt: skip
-    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
-                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
-    arrays = weights | units | dict(config=json.dumps(asdict(env_cfg))) | contract.trace(params, env_cfg)
-    replace_file(path, lambda file: np.savez(file, **arrays))
-    path.with_name(EPISODES).unlink(missing_ok=True)  # they were of the policy before
-
-
-def check_finite(tree):
-    """Raise ValueError if an array in a tree of arrays holds anything but finite numbers."""
-    for path, x in jax.tree_util.tree_leaves_with_path(tree):
-        if x.dtype.kind not in "biuf" or not np.isfinite(x).all():
-            raise ValueError(f"{jax.tree_util.keystr(path)} does not hold finite numbers")
-
-
-def add_trace(path):
-    """Give an older policy.npz a trace, or a new one. Everything else in the file stays as it is."""
-    arrays = read_npz(path) | contract.trace(*load_policy(path))
-    replace_file(Path(path), lambda file: np.savez_compressed(file, **arrays))
-
-
-def load_trace(path):
-    """The trace in a policy.npz, {"time": (50,), "gravity": (50, 3), ...}: see contract.py."""
-    found = {name.removeprefix("trace."): x for name, x in read_npz(path).items() if name.startswith("trace.")}
-    if not found:
-        raise ValueError(f"{path} has no trace, because it is of an older version: run_folder.add_trace adds one")
-    return found
-
-
-def load_policy(path):
-    """The parameters that `networks.policy` takes and the environment's Config, from a policy.npz."""
-    arrays = read_npz(path)
-
-    def layers(net):
-        indices = itertools.takewhile(lambda i: f"{net}.{i}.W" in arrays, itertools.count())
-        no_odd = np.zeros((0, 0), np.float32)
-        return [networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices]
-
-    try:
-        env_cfg = to_config(tasks.Config, json.loads(str(arrays["config"])))
-        tasks.check(1, env_cfg, None)
-        params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
-        check_finite(params)
-        obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)
-        with suppress(TypeError, ValueError):
-            if [x.shape for x in jax.eval_shape(networks.policy, params, obs)] == [(12,), (12,), (3,)]:
-                return params, env_cfg
-        raise ValueError(f"its layers do not fit each other or its history of {env_cfg.history}")
-    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not a policy of this version, so train it anew: {error}") from None
-
-
-class Log:
-    """metrics.csv, which grows by a row in each iteration."""
-
-    def __init__(self, folder, done):
-        """done: iterations behind us. Later rows are dropped, because their iterations will be computed again.
-
-        The run does not need the earlier ones: if some are missing, it goes on, and a line on stderr says so.
-        """
-        self.path, self.done, self.start, self.names = folder / "metrics.csv", done, time.monotonic(), None
-        rows = whole_rows(self.path) if done and self.path.exists() else []
-        self.kept = list({row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values())
-        if (missing := done - len(self.kept)) > 0:
-            print(f"{self.path} lacks {missing} of {done} rows: the run goes on without them", file=sys.stderr)
-
-    def row(self, iteration, metrics):
-        """Write one row, and return it as a dict. Time counts from the last start or resumption."""
-        seconds, new = time.monotonic() - self.start, iteration - self.done
-        rate = metrics["steps"] / iteration * new / seconds
-        row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
-        if not self.names or not self.path.exists():
-            self.names = list((self.kept[0] if self.kept else {}) | row)  # another version may have other columns
-            lines = map(self.line, [dict(zip(self.names, self.names, strict=True)), *self.kept])
-            replace_file(self.path, lambda file: file.write("".join(lines).encode()))
-        with open(self.path, "a", newline="") as file:
-            file.write(self.line(row))
-        return row
-
-    def line(self, row):
-        """A row as text."""
-        return ",".join(str(row.get(name, "nan")) for name in self.names) + "\n"
-
-    def sync(self):
-        """Wait until all rows are on the disk. Then a checkpoint may follow them there."""
-        with open(self.path, "a") as file:
-            os.fsync(file.fileno())
-
-
-def whole_rows(path):
-    """The rows of metrics.csv as dicts of text, without what a crash or a full disk has torn."""
-    names, *rows = (line.split(",") for line in path.read_text(errors="replace").split("\n")[:-1] or [""])
-    rows = [dict(zip(names, row, strict=True)) for row in rows if len(row) == len(names)]
-    return [row for row in rows if row.get("iteration", "").isdecimal()]
-
-
-def read_metrics(folder):
-    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no row yet."""
-    rows = whole_rows(folder / "metrics.csv")
-    try:
-        return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
-    except ValueError as error:
-        raise ValueError(f"{folder / 'metrics.csv'} is damaged: {error}") from None
-
-
-def draw_curves(folder):
-    """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
-    from matplotlib.figure import Figure  # here, because it is slow to import
-
-    columns = read_metrics(folder)
-    panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
-                  gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
-    figure = Figure(figsize=(12, 6), layout="constrained")
-    for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):
-        for column, label in ((name, "pi"), ("prime_" + name, "pi'")):
-            if column in columns and np.isfinite(columns[column]).any():
-                axes.plot(columns["steps"] / 1e6, columns[column], label=label, linewidth=0.8)
-        axes.set(title=title, xlabel="million steps")
-        axes.grid(alpha=0.3)
-    figure.axes[0].legend()
-    replace_file(folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png"))
-
-
-def draw_commands(folder, weights):
-    """Draw commands.png: the weights of the curriculum over the commands (see curriculum.py)."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    extent = np.ravel([curriculum.LOW, curriculum.HIGH], "F")[[2, 3, 0, 1]]  # of yaw rate, then of v_x
-    image = axes.imshow(weights, origin="lower", extent=extent, aspect="auto", vmin=0, vmax=1)
-    axes.set(title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]")
-    figure.colorbar(image, label="weight")
-    replace_file(folder / "commands.png", lambda file: figure.savefig(file, dpi=100, format="png"))

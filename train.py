@@ -11,42 +11,26 @@ import json
 import os
 import re
 import shlex
-import signal
-import socket
 import sys
-import threading
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
-
-def say(text, file=None, end="\n"):
-    """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal may be closed."""
-    try:
-        print(text, file=file, end=end, flush=True)
-    except OSError:
-        os.dup2(2, 1)  # from here on stdout is stderr, which may still reach someone
-
-
-def stop_at_once(why):
-    """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or crash in them."""
-    say("\n" * sys.stderr.isatty() + f"Stopped at once: {why}", sys.stderr)
-    os._exit(130)
-
+from interrupt import leave, say, stop_at_boundary, stop_imports
 
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
-if __name__ == "__main__" and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
-    signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))  # imports take seconds
+    stop_imports()
 
 import jax
 
 import eipo
 import go1_env
+import metrics
 import networks
 import parallel
+import policy_file
 import run_folder
 import tasks
 
@@ -65,7 +49,6 @@ class Options:
 
 
 CONFIGS = (Options, tasks.Config, eipo.Config)
-FAULTS = ("dropped", "skipped", "prime_dropped", "prime_skipped", "ended_diverged")  # shown only if they are not 0
 
 
 # ---- settings ----
@@ -188,35 +171,9 @@ def repeat_arithmetic(threads):
 def save(folder, state, envs, cfg, params):
     """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
-    if jax.process_index():
-        return  # process 0 writes
-    run_folder.save_policy(folder / "policy.npz", params, envs[0].env_cfg)
-    try:
-        run_folder.draw_curves(folder)
-        if envs[0].task.curriculum:
-            run_folder.draw_commands(folder, envs[0].state.weights)
-    except Exception as error:  # whatever it is, a picture is not worth a run
-        say(f"train.py: no picture was drawn: {' '.join(str(error).split())}", sys.stderr)
-
-
-def report(row, first, iterations):
-    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for one row in 100.
-
-    The time left takes the mean of all iterations since `first`, the first row of this process, which also compiled.
-    """
-    iteration, timed = row["iteration"], row["iteration"] - first["iteration"]
-    seconds = (iterations - iteration) * (row["time_s"] - first["time_s"]) / max(1, timed)
-    left = f"{seconds / 60:.0f} min left  " if timed else ""
-    line = (
-        f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {row['reward']:.2f}  "
-        f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
-        + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
-        + "".join(f"  {name} {row[name]:.0f}" for name in FAULTS if row.get(name))
-    )
-    if sys.stdout.isatty():
-        say(f"\r{line}\x1b[K", end="")
-    elif iteration % 100 == 0 or iteration == iterations:
-        say(line)
+    if jax.process_index() == 0:
+        policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
+        metrics.draw(folder, envs[0].state.weights if envs[0].task.curriculum else None)
 
 
 def meet(asked, weights, before):
@@ -233,8 +190,7 @@ def make_envs(env_cfg, cfg, threads):
     policies = 2 if cfg.algo == "eipo" else 1
     share = cfg.num_envs // policies // jax.process_count()
     envs = [go1_env.Go1Env(share, env_cfg, threads) for _ in range(policies)]
-    if policies == 2:
-        envs[1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
+    envs[-1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
     return envs
 
 
@@ -254,17 +210,17 @@ def train(folder, env_cfg, cfg, options, command, stop):
     if options.resume:
         state = run_folder.load_checkpoint(checkpoint, state, envs)
     if lead:
-        log, first = run_folder.Log(folder, state.iteration), None
+        log, first = metrics.Log(folder, state.iteration), None
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         say(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
     weights, before = envs[0].state.weights, envs[0].state.weights.copy()
     run = eipo.eipo(env, env_prime, cfg, state) if env_prime else eipo.ppo(env, cfg, state)
-    for state, metrics in run:
+    for state, numbers in run:
         stop.worth_saving = True
         asked = meet(stop.asked, weights, before)
         if lead:
-            row = log.row(state.iteration, {name: float(x) for name, x in metrics.items()})
-            report(row, first := first or row, cfg.iterations)
+            row = log.row(state.iteration, {name: float(x) for name, x in numbers.items()})
+            metrics.report(row, first := first or row, cfg.iterations)
         if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
             if lead:
                 log.sync()
@@ -272,40 +228,6 @@ def train(folder, env_cfg, cfg, options, command, stop):
         if asked:
             break
     return state.iteration if state.iteration < cfg.iterations else None
-
-
-@contextmanager
-def stop_at_boundary(folder):
-    """Yields a namespace whose `asked` turns True when Ctrl-C, SIGTERM or SIGHUP asks for a stop after this iteration.
-
-    Asked again, or before the first iteration has set `worth_saving`, the process ends at once. A thread sees to that:
-    a signal handler in Python would have to wait for the C++ that compiles.
-    """
-    stop = SimpleNamespace(asked=False, worth_saving=False)
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]  # nohup ignores SIGHUP
-    receive, send = socket.socketpair()
-
-    def listen():
-        with receive:
-            while number := receive.recv(1):
-                if number[0] in numbers and stop.worth_saving and not stop.asked:
-                    stop.asked = True
-                    say("\nStopping after this iteration. Ctrl-C again stops at once")
-                elif number[0] in numbers:
-                    resumable = (folder / "checkpoint.npz").exists()
-                    stop_at_once("--resume goes on from the last checkpoint" if resumable else "there is no checkpoint")
-
-    send.setblocking(False)
-    threading.Thread(target=listen, daemon=True).start()
-    wakeup, before = signal.set_wakeup_fd(send.fileno()), {n: signal.signal(n, lambda *_: None) for n in numbers}
-    try:
-        yield stop
-    finally:
-        signal.set_wakeup_fd(wakeup)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        send.close()
 
 
 def command_line(argv):
@@ -330,7 +252,7 @@ def main(argv):
                 stopped = train(folder, env_cfg, cfg, options, command, stop)
     except (ValueError, OSError) as error:
         if jax.distributed.is_initialized():
-            parallel.leave(" ".join(str(error).split()))
+            leave(" ".join(str(error).split()))
         say(f"train.py: {' '.join(str(error).split())}", sys.stderr)
         return 2
     if stopped and lead:

@@ -11,6 +11,7 @@ import numpy as np
 import eipo
 import go1
 import go1_env
+import policy_file
 import run_folder
 import tasks
 from networks import Layer
@@ -129,7 +130,7 @@ def make_run(folder, task="flat", action=None, **learner):
         params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
-    run_folder.save_policy(folder / "policy.npz", params, env_cfg)
+    policy_file.save(folder / "policy.npz", params, env_cfg)
     return folder
 
 

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from support import LEGS, ON_ITS_BACK, error_of, make, make_run, place, random_actions, run, same_bits, still
 
-import adopt
 import evaluate
 import go1
 import go1_env
 import measure
 import play
-import robust
 import run_folder
 import tasks
+from studies import adopt, robust
 
 # A Go1 written as others write it: names and settings as in MuJoCo Menagerie's, two capsules a calf, feet of 2.3 cm,
 # actuators that are servos, a mesh, a keyframe and a sensor. {LEGS} and {SERVOS} are filled in below.

@@ -23,6 +23,7 @@ from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of
 import eipo
 import evaluate
 import measure
+import policy_file
 import rewards
 import run_folder
 import tasks
@@ -154,7 +155,7 @@ def scripted(monkeypatch):
 
     monkeypatch.setattr(measure, "load", load)
     monkeypatch.setattr(measure, "run_episodes", run_episodes)
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:3])
+    monkeypatch.setattr(measure, "FORWARD", measure.FORWARD[:3])
     return loaded
 
 
@@ -362,12 +363,12 @@ def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
     folder = runs["flat"]
     kept = folder / run_folder.EPISODES
     measure.episodes(folder, TWO, 1)
-    run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+    policy_file.save(folder / "policy.npz", *policy_file.load(folder / "policy.npz"))
     assert not kept.exists()
     play = measure.run_episodes
 
     def meanwhile(*arguments):
-        run_folder.save_policy(folder / "policy.npz", *run_folder.load_policy(folder / "policy.npz"))
+        policy_file.save(folder / "policy.npz", *policy_file.load(folder / "policy.npz"))
         return play(*arguments)
 
     monkeypatch.setattr(measure, "run_episodes", meanwhile)
@@ -399,7 +400,7 @@ def two_episodes(monkeypatch):
                  pitch=(-2, 4))  # fmt: skip
     columns = {name: np.tile(pairs.get(name, (0, 0)), 2) for name in measure.Episodes._fields}
     monkeypatch.setattr(measure, "run_episodes", lambda mean, env, commands: measure.Episodes(**columns))
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:2])
+    monkeypatch.setattr(measure, "FORWARD", measure.FORWARD[:2])
 
 
 def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
@@ -526,7 +527,7 @@ def test_whole_numbers_stand_for_floats_in_a_config(runs):
 
 def test_every_run_in_results_can_be_read():
     policies = list(ROOT.glob("results/*/*/policy.npz"))
-    assert len(policies) > 3 and all(run_folder.load_policy(policy) for policy in policies)
+    assert len(policies) > 3 and all(policy_file.load(policy) for policy in policies)
     configs = list(ROOT.glob("results/*/*/config.json"))
     assert len(configs) > 5 and all(run_folder.load_config(config.parent) for config in configs)
 
@@ -784,7 +785,7 @@ def test_runs_that_are_running_are_left_out(sweep, checkpoint):
 
 def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
     """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
-    monkeypatch.setattr(evaluate, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(evaluate.sweep, "RESULTS", tmp_path / "results")
     every = sweep("fig6", "--iterations", 4)
     folder = fake_run(every[0], 4)
     (folder / "metrics.csv").write_text("iteration\n2\n4\n")

@@ -10,11 +10,10 @@ from support import error_of, make_run, same_bits
 
 import energy
 import evaluate
-import gait
 import go1
-import joints
 import measure
 import tasks
+from studies import gait, joints
 
 DT = 0.005  # s, a physics step
 LAGS = np.array([[0, 0.5, 0.5, 0], [0, 0.5, 0, 0.5], [0, 0.5, 0.75, 0.25], [0, 0.5, 0.25, 0.75], [0, 0, 0, 0],

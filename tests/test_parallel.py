@@ -14,6 +14,7 @@ import pytest
 from support import ROOT, TINY, error_of
 
 import eipo
+import metrics
 import parallel
 import run_folder
 import train
@@ -49,13 +50,17 @@ def arrays_of(learner, log):
 
 def process(out, *flags):
     """What one process of a test does: train, keep what it holds at each checkpoint, and compute one update."""
-    save = train.save
+    save, meet = train.save, train.meet
+
+    def meet_and_wait(*args):
+        time.sleep(float(os.environ["PAUSE"]))
+        return meet(*args)
 
     def save_and_keep(folder, state, envs, cfg, params):
         save(folder, state, envs, cfg, params)
         np.savez(f"{out}.{jax.process_index()}.npz", **run_folder.checkpoint_arrays(state, envs))
 
-    train.save = save_and_keep
+    train.save, train.meet = save_and_keep, meet_and_wait
     status = train.main(list(flags))
     if status or "--resume" in flags:
         return status
@@ -70,12 +75,12 @@ def free_port():
         return server.getsockname()[1]
 
 
-def start(folder, *flags, port=None, processes=2, only=None):
-    """Start the processes of a run, or only those named."""
+def start(folder, *flags, port=None, processes=2, only=None, pause=0):
+    """Start the processes of a run, or only those named. pause: s that each waits after an iteration."""
     flags = [*flags, "--out", folder, "--coordinator", f"127.0.0.1:{port or free_port()}", "--processes", processes]
     command = [sys.executable, __file__, folder, *flags, "--process"]
     pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    env = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT / 'tests'}", PJRT_NPROC="1")
+    env = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT / 'tests'}", PJRT_NPROC="1", PAUSE=str(pause))
     return [subprocess.Popen([str(x) for x in (*command, i)], env=env, **pipes) for i in only or range(processes)]
 
 
@@ -92,8 +97,8 @@ def ended(processes, seconds=SECONDS):
 
 def wait_for_rows(folder, processes, rows):
     """Until metrics.csv has so many."""
-    metrics, end = folder / "metrics.csv", time.monotonic() + SECONDS
-    while not metrics.exists() or metrics.read_text().count("\n") <= rows:
+    table, end = folder / "metrics.csv", time.monotonic() + SECONDS
+    while not table.exists() or table.read_text().count("\n") <= rows:
         assert time.monotonic() < end and all(process.poll() is None for process in processes)
         time.sleep(0.002)
 
@@ -122,7 +127,7 @@ def test_two_processes_hold_one_learner_and_environments_of_their_own(finished):
     expected = first | {f"1/{name}": second[name] for name in set(second) - common | {"env0.weights", "env1.weights"}}
     assert set(expected) | {"settings"} == set(stored)
     assert [name for name, x in expected.items() if x.tobytes() != stored[name].tobytes()] == []
-    columns = run_folder.read_metrics(finished)
+    columns = metrics.read(finished)
     assert columns["iteration"].tolist() == list(range(1, 13)) and columns["steps"][-1] == 12 * 4 * 8
 
 
@@ -193,7 +198,7 @@ def resumes(finished, folder):
 @pytest.mark.parametrize("victim", [0, 1])
 def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim):
     folder = tmp_path / "run"
-    processes = start(folder, *FLAGS, 12)
+    processes = start(folder, *FLAGS, 12, pause=0.5)
     wait_for_rows(folder, processes, 5)
     processes[victim].kill()
     statuses, said = ended(processes, 3 * parallel.SILENCE)  # on a busy machine; it is told within one
@@ -206,11 +211,11 @@ def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim
 @pytest.mark.slow
 def test_a_stop_that_one_is_asked_for_stops_both(finished, tmp_path):
     folder = tmp_path / "run"
-    processes = start(folder, *FLAGS, 12)
+    processes = start(folder, *FLAGS, 12, pause=0.5)  # or all is done before they are asked
     wait_for_rows(folder, processes, 5)
     processes[1].send_signal(signal.SIGTERM)
     assert ended(processes)[0] == [130, 130]
-    assert 5 <= len(run_folder.read_metrics(folder)["iteration"]) < 12
+    assert 5 <= len(metrics.read(folder)["iteration"]) < 12
     resumes(finished, folder)
 
 

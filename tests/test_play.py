@@ -22,6 +22,7 @@ import go1
 import go1_env
 import networks
 import play
+import policy_file
 import run_folder
 import tasks
 import terrain
@@ -48,9 +49,9 @@ def runs(tmp_path_factory):
 def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
     """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
-    params, env_cfg = run_folder.load_policy(runs["velocity"] / "policy.npz")
+    params, env_cfg = policy_file.load(runs["velocity"] / "policy.npz")
     params["actor"]["layers"][-1] = jax.tree.map(lambda x: 40 * x, params["actor"]["layers"][-1])
-    run_folder.save_policy(tmp_path / "policy.npz", params, env_cfg)
+    policy_file.save(tmp_path / "policy.npz", params, env_cfg)
     section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
     (code,) = re.findall(r"```python\n(.*?)```", section, re.S)
     monkeypatch.chdir(tmp_path)
@@ -71,7 +72,7 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
 def test_what_the_other_side_needs_is_in_the_file(runs):
     """README: torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, policy 50 times."""
     arrays = run_folder.read_npz(runs["flat"] / "policy.npz")
-    env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")[1]
+    env_cfg = policy_file.load(runs["flat"] / "policy.npz")[1]
     assert (arrays["kp"], arrays["kd"]) == (20.0, 0.5)
     assert (1 / env_cfg.timestep, env_cfg.physics_steps) == (200.0, 4)
 
@@ -262,7 +263,7 @@ def test_a_command_that_was_not_trained_is_a_warning(runs, monkeypatch, capsys, 
                                                  ("rough", 0.03, 0.03), ("flat", 0.1, 0.1)])  # fmt: skip
 def test_the_ground_is_the_runs_roughest_or_the_given_one(runs, task, asked, height):
     """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point; the episode does not end by time."""
-    env = play.make_env(run_folder.load_policy(runs[task] / "policy.npz")[1], asked)
+    env = play.make_env(policy_file.load(runs[task] / "policy.npz")[1], asked)
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
     assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
@@ -272,7 +273,7 @@ def test_the_ground_is_the_runs_roughest_or_the_given_one(runs, task, asked, hei
 def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then):
     """The first policy answers 0.5 to everything, the one that replaces it 1.5."""
     make_run(tmp_path, "flat", action=0.5)
-    env, seen = play.make_env(run_folder.load_policy(tmp_path / "policy.npz")[1]), []
+    env, seen = play.make_env(policy_file.load(tmp_path / "policy.npz")[1]), []
     for i, _ in zip(range(4), play.play(env, tmp_path, np.zeros(3), follow), strict=False):
         seen.append(env.state.action.copy())
         if i == 1:
@@ -284,7 +285,7 @@ def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then)
 
 def test_the_command_may_change_on_the_way(runs):
     """What the arrow keys do: from the next observation on it is another command. Scale 2 [lab code], no noise."""
-    env, command = play.make_env(run_folder.load_policy(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
+    env, command = play.make_env(policy_file.load(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
     steps = play.play(env, runs["flat"], command)
     next(steps)
     assert env.state.frames[0, :, 3].tolist() == [1.0, 1.0]

@@ -1,6 +1,7 @@
 """The promises of the layout: sizes, imports, tags, and a README whose table is true."""
 
 import ast
+import importlib
 import inspect
 import re
 import subprocess
@@ -16,7 +17,8 @@ import tasks
 import train
 
 ROOT = Path(train.__file__).parent
-MODULES = sorted(path.stem for path in ROOT.glob("*.py"))
+FILES = [*ROOT.glob("*.py"), *ROOT.glob("studies/*.py")]
+MODULES = sorted(str(path.relative_to(ROOT).with_suffix("")) for path in FILES)
 # imports go down this list, never up; the second entry is what else a module may import beyond the standard library
 LAYERS = {
     "energy": {"numpy"},
@@ -26,18 +28,23 @@ LAYERS = {
     "curriculum": {"numpy", "scipy"},
     "tasks": {"numpy"},
     "go1": {"numpy", "mujoco"},
-    "adopt": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "networks": {"numpy", "jax", "scipy"},
+    "interrupt": set(),
     "parallel": {"numpy", "jax"},
     "eipo": {"numpy", "jax", "optax"},
-    "contract": {"numpy"},
-    "run_folder": {"numpy", "jax", "matplotlib"},
+    "run_folder": {"numpy", "jax"},
+    "policy_file": {"numpy", "jax"},
+    "metrics": {"numpy", "matplotlib"},
     "train": {"jax"},
     "measure": {"numpy", "jax", "scipy"},
-    "robust": {"numpy", "mujoco", "matplotlib"},
-    "gait": {"numpy", "scipy", "matplotlib"},
-    "joints": {"numpy", "matplotlib"},
+    "studies/__init__": set(),
+    "studies/adopt": {"numpy", "mujoco"},
+    "studies/gait": {"numpy", "scipy", "matplotlib"},
+    "studies/joints": {"numpy", "matplotlib"},
+    "studies/robust": {"numpy", "mujoco", "matplotlib"},
+    "studies/sweep": set(),
+    "studies/seeds": {"numpy", "matplotlib"},
     "evaluate": {"numpy", "matplotlib"},
     "play": {"numpy", "mujoco", "PIL"},
 }
@@ -59,7 +66,8 @@ def test_imports_go_one_way(module):
         if isinstance(node, ast.Import):
             imported |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            imported.add(node.module.split(".")[0])
+            whole = node.module.split(".")[0]
+            imported |= {f"studies/{alias.name}" for alias in node.names} if whole == "studies" else {whole}
     above = list(LAYERS)[: list(LAYERS).index(module)]
     assert imported - set(sys.stdlib_module_names) <= LAYERS[module] | set(above)
     if module in ("networks", "eipo"):  # they know nothing of robots or files, nor through each other
@@ -102,8 +110,8 @@ def test_readme_equation_table_resolves_both_ways():
     for tag, where, names in rows:
         assert where and names, tag
         for name in where:
-            module, attribute = name.split(".")
-            assert hasattr(sys.modules.get(module) or __import__(module), attribute), name
+            module, attribute = name.rsplit(".", 1)
+            assert hasattr(importlib.import_module(module), attribute), name
         for name in names:
             assert f"def {name}(" in tests, name
     listed = {int(n) for tag, _, _ in rows for n in re.findall(r"\d+", tag) if tag.startswith("Eq")}
@@ -136,7 +144,7 @@ def test_readme_is_one_sitting_and_its_files_exist():
             assert (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
     shown = re.findall(r"play\.py (results/\S+)", text)
     assert shown and all((ROOT / folder / "policy.npz").exists() for folder in shown)
-    for name in re.findall(r"`(\w+\.(?:py|xml))`", text):
+    for name in re.findall(r"`([\w/]+\.(?:py|xml))`", text):
         assert (ROOT / name).exists(), name
 
 
@@ -159,10 +167,9 @@ def test_a_wheel_has_all_modules_and_the_robot(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     with ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} - {wheel.name} == {
-        *(f"{module}.py" for module in MODULES),
-        "go1.xml",
-    }
+    found = {str(path.relative_to(tmp_path)) for path in [*tmp_path.glob("*.*"), *tmp_path.glob("studies/*")]}
+    info = {path.name for path in tmp_path.glob("*.dist-info")}
+    assert found - {wheel.name, *info} == {*(f"{module}.py" for module in MODULES), "go1.xml"}
     code = "import go1; print(go1.__file__, go1.build_model(0.005, None).nu)"
     built = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
     assert built.stdout.split() == [str(tmp_path / "go1.py"), "12"]

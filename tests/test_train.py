@@ -16,7 +16,10 @@ from support import DAMAGES, ROOT, TINY, contents, error_of
 
 import evaluate
 import go1_env
+import interrupt
 import measure
+import metrics
+import policy_file
 import run_folder
 import train
 
@@ -55,8 +58,8 @@ def start(*argv, **variables):
 
 def start_and_wait(folder, iterations=20, until=5):
     """Start the same run as a process of its own; returns it when metrics.csv holds `until` iterations."""
-    process, metrics = start(*FLAGS, "--iterations", iterations, "--out", folder), folder / "metrics.csv"
-    while not metrics.exists() or metrics.read_text().count("\n") < until + 1:
+    process, table = start(*FLAGS, "--iterations", iterations, "--out", folder), folder / "metrics.csv"
+    while not table.exists() or table.read_text().count("\n") < until + 1:
         assert process.poll() is None, "the run ended before it could be stopped"
         time.sleep(0.002)
     return process
@@ -167,8 +170,8 @@ def wait_for(condition):
 def test_ctrl_c_twice_stops_at_once_and_promises_no_checkpoint_that_is_not_there(tmp_path, monkeypatch, file, says):
     (tmp_path / file).touch()
     ends = []
-    monkeypatch.setattr(train, "stop_at_once", ends.append)
-    with train.stop_at_boundary(tmp_path) as stop:
+    monkeypatch.setattr(interrupt, "stop_at_once", ends.append)
+    with interrupt.stop_at_boundary(tmp_path) as stop:
         stop.worth_saving = True
         os.kill(os.getpid(), signal.SIGINT)
         wait_for(lambda: stop.asked)
@@ -181,7 +184,7 @@ def test_ctrl_c_twice_stops_at_once_and_promises_no_checkpoint_that_is_not_there
 def test_a_run_under_nohup_outlives_its_terminal(tmp_path):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with train.stop_at_boundary(tmp_path):
+        with interrupt.stop_at_boundary(tmp_path):
             assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
@@ -212,14 +215,14 @@ def test_metrics_are_read_as_columns(tmp_path):
     """Two rows of two columns, whatever a crash or a full disk made of a third; no row yet; a row of something else."""
     for torn in ("", "3", "3\n", "3,0.", "3,0.875", "3,0.8,75\n", "\0\0\0\0", "\0\0\n"):
         (tmp_path / "metrics.csv").write_text("iteration,reward\n1,0.5\n2,0.75\n" + torn)
-        columns = {name: x.tolist() for name, x in run_folder.read_metrics(tmp_path).items()}
+        columns = {name: x.tolist() for name, x in metrics.read(tmp_path).items()}
         assert columns == dict(iteration=[1.0, 2.0], reward=[0.5, 0.75]), torn
     for empty in ("", "iteration,reward", "iteration,reward\n"):
         (tmp_path / "metrics.csv").write_text(empty)
-        assert run_folder.read_metrics(tmp_path) == {}
+        assert metrics.read(tmp_path) == {}
     (tmp_path / "metrics.csv").write_text("iteration,reward\n1,much\n")
     with pytest.raises(ValueError, match=r"metrics\.csv.*much"):
-        run_folder.read_metrics(tmp_path)
+        metrics.read(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -243,20 +246,20 @@ def test_a_run_goes_on_without_rows_that_are_lost(finished, tmp_path, capsys, da
     assert f"lacks {20 - left} of 20 rows" in line and str(tmp_path) in line
     assert rows(tmp_path)[:-1] == before[: left + 1]
     assert rows(tmp_path)[-1][0] == "21" and len(rows(tmp_path)[-1]) == len(before[0])
-    assert run_folder.read_metrics(tmp_path)["iteration"].tolist() == [*range(1, left + 1), 21]
+    assert metrics.read(tmp_path)["iteration"].tolist() == [*range(1, left + 1), 21]
 
 
 def test_rows_of_another_version_keep_their_columns(tmp_path):
     (tmp_path / "metrics.csv").write_text("iteration,steps,old\n1,4,0.5\n")
-    log = run_folder.Log(tmp_path, 1)
+    log = metrics.Log(tmp_path, 1)
     log.row(2, dict(steps=8, new=0.25))
-    columns = run_folder.read_metrics(tmp_path)
+    columns = metrics.read(tmp_path)
     assert columns["steps"].tolist() == [4, 8]
     assert columns["old"] == pytest.approx([0.5, np.nan], nan_ok=True)
     assert columns["new"] == pytest.approx([np.nan, 0.25], nan_ok=True)
     (tmp_path / "metrics.csv").unlink()  # while the run is going on
     log.row(3, dict(steps=12, new=0.5))
-    assert run_folder.read_metrics(tmp_path)["steps"].tolist() == [4, 12]
+    assert metrics.read(tmp_path)["steps"].tolist() == [4, 12]
 
 
 @pytest.mark.parametrize("error", [ValueError, TypeError, ImportError, OSError], ids=lambda x: x.__name__)
@@ -264,7 +267,7 @@ def test_drawing_never_stops_training(tmp_path, capsys, monkeypatch, error):
     def draw_curves(folder):
         raise error("no\nfont")
 
-    monkeypatch.setattr(run_folder, "draw_curves", draw_curves)
+    monkeypatch.setattr(metrics, "draw_curves", draw_curves)
     run("--out", tmp_path)
     (line,) = capsys.readouterr().err.splitlines()
     assert "no font" in line and (tmp_path / "checkpoint.npz").exists()
@@ -388,9 +391,9 @@ def test_the_time_left_leaves_compilation_out(capsys):
     """100 s for the first iteration and 1 s for each of the next 99: the last 600 take ten minutes, not 20."""
     numbers = dict(reward=0, v_x=0, power=0, alpha=0, steps_per_s=1)
     first, row = (dict(iteration=i, time_s=t) | numbers for i, t in ((1, 100.0), (100, 199.0)))
-    train.report(row, first, 700)
+    metrics.report(row, first, 700)
     assert "  10 min left" in capsys.readouterr().out
-    train.report(first | dict(iteration=100), first | dict(iteration=100), 700)
+    metrics.report(first | dict(iteration=100), first | dict(iteration=100), 700)
     assert "left" not in capsys.readouterr().out  # what the first one took says nothing
 
 
@@ -479,7 +482,7 @@ def test_a_crash_while_writing_keeps_the_old_file(tmp_path):
 def test_evaluate_prints_a_row_per_run_and_one_line_for_a_folder_that_is_none(finished, tmp_path, capsys, monkeypatch):
     """An untrained policy scores between nothing and everything; what is no run folder is one line."""
     monkeypatch.setattr(measure, "EPISODE_STEPS", 16)
-    params, env_cfg = run_folder.load_policy(finished / "policy.npz")
+    params, env_cfg = policy_file.load(finished / "policy.npz")
     assert env_cfg.history == 2 and params["actor"]["layers"][0][0].shape == (91, 8)
     assert evaluate.main([str(finished), "--episodes", "11", "--clip", "power"]) == 0
     header, _, row = capsys.readouterr().out.splitlines()

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import go1
-import run_folder
+import metrics
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"  # our trained runs
@@ -53,7 +53,7 @@ def training(runs, names, until=None):
     """Columns {"RUN:NAME": (n,)} of metrics.csv, up to an iteration; runs: {run: folder in results/}."""
     columns = {}
     for run, folder in runs.items():
-        c = run_folder.read_metrics(RESULTS / folder)
+        c = metrics.read(RESULTS / folder)
         rows = c["iteration"] <= (until or np.inf)
         columns |= {f"{run}:{name}": c[name][rows] for name in ("steps", *names) if name in c}
     return columns

@@ -1,4 +1,4 @@
-"""contract.py: README's lines, and nothing else of this project, turn the sensors of a trace into its joint targets."""
+"""policy_file.py: README's lines, and nothing else of ours, turn the sensors of a trace into its joint targets."""
 
 import re
 from dataclasses import replace
@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support import ROOT, make, make_run, place
 
-import contract
 import go1
 import go1_env
+import policy_file
 import run_folder
 
 SENSORS = ("time", "gravity", "command", "q", "qd")
@@ -24,10 +24,10 @@ def runs(tmp_path_factory):
     base = tmp_path_factory.mktemp("runs")
     folders = {task: make_run(base / task, task) for task in ("flat", "curriculum")}
     for folder in folders.values():
-        params, env_cfg = run_folder.load_policy(folder / "policy.npz")
+        params, env_cfg = policy_file.load(folder / "policy.npz")
         last = params["actor"]["layers"][-1]
         params["actor"]["layers"][-1] = last._replace(even=15 * last.even)
-        run_folder.save_policy(folder / "policy.npz", params, env_cfg)
+        policy_file.save(folder / "policy.npz", params, env_cfg)
     return folders
 
 
@@ -45,7 +45,7 @@ def readme(folder, monkeypatch):
 def test_readmes_lines_follow_the_trace(runs, monkeypatch, name):
     """From sensors alone: frames, and the last target in them, are the lines' own. Rounded to float32, in N m 0.002."""
     folder = runs.get(name, ROOT / name)
-    theirs, trace = readme(folder, monkeypatch), run_folder.load_trace(folder / "policy.npz")
+    theirs, trace = readme(folder, monkeypatch), policy_file.load_trace(folder / "policy.npz")
     for k, time in enumerate(trace["time"]):
         if time == 0:
             target, frames = theirs["p"]["q_nominal"], []
@@ -61,7 +61,7 @@ def test_readmes_lines_follow_the_trace(runs, monkeypatch, name):
 def test_the_trace_is_what_the_simulation_did(runs, task):
     """The actions of the trace, played once more, make the readings of the trace: 50 steps of 20 ms, no noise."""
     path = runs[task] / "policy.npz"
-    trace, (_, env_cfg) = run_folder.load_trace(path), run_folder.load_policy(path)
+    trace, (_, env_cfg) = policy_file.load_trace(path), policy_file.load(path)
     env = go1_env.Go1Env(1, replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9))
     obs, _ = env.reset(0, [1, 0, 0])
     assert {name: x.shape for name, x in trace.items()} == dict(time=(50,)) | {n: (50, w) for n, w in WIDTHS.items()}
@@ -98,10 +98,10 @@ def test_signs_of_joints():
 
 def test_the_estimate_is_the_velocity_of_the_trunk(tmp_path):
     """An estimator whose answer is (1, 2, 3) m/s whatever it sees: the trace has it, and the actor saw it."""
-    params, env_cfg = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
+    params, env_cfg = policy_file.load(make_run(tmp_path) / "policy.npz")
     last = params["estimator"][-1]
     params["estimator"][-1] = last._replace(even=0 * last.even, bias=np.array([1, 2, 3], np.float32))
-    assert contract.trace(params, env_cfg)["trace.estimate"].tolist() == [[1, 2, 3]] * 50
+    assert policy_file.trace(params, env_cfg)["trace.estimate"].tolist() == [[1, 2, 3]] * 50
 
 
 # ---- older policies ----
@@ -118,19 +118,19 @@ def without_trace(path):
 def test_an_older_policy_runs_and_says_that_it_has_no_trace(tmp_path):
     path = make_run(tmp_path) / "policy.npz"
     without_trace(path)
-    assert run_folder.load_policy(path)[1].task == "flat"
+    assert policy_file.load(path)[1].task == "flat"
     with pytest.raises(ValueError, match=r"policy\.npz has no trace.*add_trace") as error:
-        run_folder.load_trace(path)
+        policy_file.load_trace(path)
     assert "\n" not in str(error.value)
 
 
 def test_a_trace_can_be_added_and_changes_nothing_else(tmp_path):
     """The same trace as when the policy was saved, and the same bits of everything else; episodes are not deleted."""
     path = make_run(tmp_path) / "policy.npz"
-    trace, arrays = run_folder.load_trace(path), without_trace(path)
+    trace, arrays = policy_file.load_trace(path), without_trace(path)
     (tmp_path / run_folder.EPISODES).write_bytes(b"")
-    run_folder.add_trace(path)
-    assert {name: x.tobytes() for name, x in run_folder.load_trace(path).items()} == {
+    policy_file.add_trace(path)
+    assert {name: x.tobytes() for name, x in policy_file.load_trace(path).items()} == {
         name: x.tobytes() for name, x in trace.items()
     }
     now = run_folder.read_npz(path)

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import energy
-import gait
 import go1
+from studies import gait
 
 NAMES = [f"{leg}_{joint}" for leg in go1.LEGS for joint in ("hip", "thigh", "calf")]
 

@@ -1,0 +1,104 @@
+"""Which runs the figures and Table I need: `evaluate.py --commands table1` prints those that are still to be trained.
+
+A run's kind is EIPO or PPO(lambda), with its other cost or reward.
+"""
+
+import shlex
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+
+import metrics
+import run_folder
+import train
+
+LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
+EIPO = ("--algo", "eipo")
+PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
+SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each. Table I has
+    # EIPO twice: with as many robots in all as PPO, and with as many per policy
+    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
+    fig5=[("curriculum", flags)
+          for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
+    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
+    table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())])  # fmt: skip
+RESULTS = Path(__file__).parents[1] / "results"  # where finished runs are kept, in a folder for each task
+
+
+def by_label(folders, task):
+    """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
+
+    One kind with two numbers of robots is two kinds. Raises ValueError if there are no runs, and for two runs of one
+    kind that differ in more than the seed, or not in it.
+    """
+    configs = {folder: run_folder.load_config(folder) for folder in map(Path, folders)}
+    configs = {folder: both for folder, both in configs.items() if both[0].task == task}
+    if not configs:
+        raise ValueError(f"none of the run folders is of the task {task}")
+    sizes = {}
+    for env_cfg, cfg in configs.values():
+        sizes.setdefault(kind(env_cfg, cfg), set()).add(cfg.num_envs)
+    groups = {}
+    for folder, (env_cfg, cfg) in configs.items():
+        name = kind(env_cfg, cfg)
+        name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
+        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
+    for name, runs in groups.items():
+        (first, settings), *others = runs.items()
+        for folder, other in others:
+            differing = [field for field in settings if settings[field] != other[field]]
+            if differing != ["seed"]:
+                what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
+                raise ValueError(f"{first} and {folder} are both {name} but {what}: give one of them")
+    order = {name: i for i, name in enumerate(KINDS)}
+    return {name: list(groups[name]) for name in sorted(groups, key=lambda x: (order.get(x.split(",")[0], 99), x))}
+
+
+def kind(env_cfg, cfg):
+    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other cost or reward."""
+    name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
+    return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+
+
+def missing_runs(what, flags):
+    """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
+    if what not in SWEEPS:
+        raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    own |= {flag for _, setting in SWEEPS[what] for flag in setting if flag[:2] == "--"}
+    taken = [flag for flag in flags if flag.split("=")[0] in own]
+    if taken:
+        raise ValueError(f"--commands sets {taken[0]} itself")
+    for task, setting in SWEEPS[what]:
+        for seed in range(3):
+            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
+            if (so_far := progress(argv)) not in ("running", "done"):
+                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
+
+
+def progress(argv):
+    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started" or "done".
+
+    A run is also done if `evaluate.py ... --out results/TASK` has kept it there.
+    """
+    options, given_env, given_learner = train.parse(argv)
+    env_cfg, cfg = train.settle(given_env, given_learner)
+    folder = train.run_path(train.Options(**options), env_cfg, cfg)
+    if run_folder.running(folder):
+        return "running"
+    kept = RESULTS / env_cfg.task / folder.name
+    with suppress(ValueError):  # nothing was kept there, or something of another version
+        if run_folder.load_config(kept) == (env_cfg, cfg) and last(kept) >= cfg.iterations:
+            return "done"
+    if not (folder / "checkpoint.npz").exists():
+        return ""
+    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))  # raises if it is a run of other settings
+    return "done" if last(folder) >= cfg.iterations else "started"
+
+
+def last(folder):
+    """The last iteration in a run's metrics.csv."""
+    return metrics.read(folder).get("iteration", [0])[-1]
