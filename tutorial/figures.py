@@ -20,6 +20,7 @@ import metrics
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"  # our trained runs
 BLUE, ORANGE, GREEN, RED, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#777777"  # safe for colour-blind readers
+LEGS = (BLUE, "#56b4e9", "black", ORANGE)  # of FR, FL, RR, RL
 COLOURS = (BLUE, ORANGE, GREEN, RED, "#cc79a7", "#56b4e9", GREY, "black")
 
 
@@ -156,7 +157,7 @@ def loop(c):
     boxes = {  # x, y, half a width, text
         "pi": (0, 4, 0.3, "pi"), "L6": (2.6, 4, 0.8, f"L6 rollout tau\n{n['power']:.0f} W"),
         "L8": (5.7, 4, 0.9, "L8 estimate\nalpha A_r - A_f"), "L9": (9.0, 4, 0.95, "L9 PPO update"),
-        "L12": (4.2, 2.25, 1.35, f"L12 gap J(pi) - J(pi')\n{n['J']:.2f} - {n['J'] - n['gap']:.2f} = {n['gap']:.2f}"),
+        "L12": (4.2, 2.25, 1.35, f"L12 gap J(pi) - J(pi')\n{n['J']:.3f} - {n['J'] - n['gap']:.3f} = {n['gap']:.3f}"),
         "L13": (7.0, 2.25, 0.65, "L13 step\nagainst it"), "alpha": (9.3, 2.25, 0.4, f"alpha\n{n['alpha']:.0f}"),
         "pi'": (0, 0.5, 0.3, "pi'"), "L7": (2.6, 0.5, 0.8, f"L7 rollout tau'\n{n['prime_power']:.0f} W"),
         "L10": (5.7, 0.5, 0.75, "L10 estimate\nA_r"), "L11": (9.0, 0.5, 1.0, "L11 PPO update"),
@@ -222,7 +223,7 @@ def reward(c):
     names = dict(flat=("Eq. 5, flat", BLUE), rough=("Eq. 6, rough", ORANGE), curriculum=("Eq. 8, curriculum", GREEN),
                  max_velocity=("Eq. 7, velocity", RED))  # fmt: skip
     for key, (label, colour) in names.items():
-        axes.plot(c["v_x"], c[key], color=colour, label=label)
+        axes.plot(c["v_x"], c[key], color=colour, label=label, linestyle="--" if key == "curriculum" else "-")
     axes.axvline(0.5, color=GREY, linestyle=":")
     axes.text(0.52, -0.45, "command", color=GREY)
     axes.set(xlabel="v_x [m/s]", ylabel="reward per step", ylim=(-0.55, 2.05))
@@ -255,14 +256,14 @@ def commands(c):
     for axes, (key, weights) in zip(figure.subplots(1, 3, sharey=True), c.items(), strict=True):
         shape = weights.reshape(22, 40)
         image = axes.imshow(shape, origin="lower", extent=(-10, 10, -1, 10), aspect="auto", vmin=0, vmax=1)
-        axes.set(title=f"after {key[6:]} commands: {weights.mean():.1%}", xlabel="yaw rate [rad/s]")
+        axes.set(title=f"after {key[6:]} commands: {weights.mean():.1%} of all", xlabel="yaw rate [rad/s]")
         axes.title.set_fontsize(10)
     figure.axes[0].set_ylabel("v_x [m/s]")
     figure.colorbar(image, ax=figure.axes, label="weight")
     return figure
 
 
-def stick(axes, c, prefix, shift=0.0, along="x", legs=go1.LEGS, colours=(BLUE, "#56b4e9", RED, ORANGE)):
+def stick(axes, c, prefix, shift=0.0, along="x", legs=go1.LEGS, colours=LEGS):
     """Draw a skeleton from the side, or with along="y" from behind, far legs first and thinner."""
     hips = np.array([[c[f"{prefix}{leg}_{axis}"][0] for axis in (along, "z")] for leg in go1.LEGS])
     axes.plot(*(hips[[0, 2]] + [shift, 0]).T, color="black", linewidth=9, solid_capstyle="round", zorder=2)
@@ -288,7 +289,7 @@ def hop(c):
 
 def footfalls(axes, c):
     """Bars for the feet that are on the ground, over time."""
-    for i, (leg, colour) in enumerate(zip(go1.LEGS, (BLUE, "#56b4e9", RED, ORANGE), strict=True)):
+    for i, (leg, colour) in enumerate(zip(go1.LEGS, LEGS, strict=True)):
         axes.fill_between(c["time"], -i - 0.38, -i + 0.38, where=c[leg] > 0, step="post", color=colour, linewidth=0)
     axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, xlabel="time [s]", xlim=(0, c["time"][-1]),
              ylabel="on the ground")  # fmt: skip
@@ -316,7 +317,7 @@ def robot(c):
     hips = np.array([points[leg][0] for leg in ("FR", "FL", "RL", "RR", "FR")])
     left.fill(*hips.T, color="0.85", zorder=1)
     left.plot(*hips.T, color="black", linewidth=2, zorder=1)
-    for leg, colour in zip(go1.LEGS, (BLUE, "#56b4e9", RED, ORANGE), strict=True):
+    for leg, colour in zip(go1.LEGS, LEGS, strict=True):
         left.plot(*points[leg].T, "o-", color=colour, linewidth=4, markersize=6, markerfacecolor="white", zorder=2)
         left.text(*(points[leg][-1] - [0.02, 0.045]), leg, color=colour, ha="center", weight="bold")
     for i, name in enumerate(("hip", "thigh", "calf", "foot")):
@@ -327,7 +328,7 @@ def robot(c):
         for axis in "xyz":
             end = start + across @ c[f"{prefix}_{axis}"]
             left.annotate("", end, start, arrowprops=dict(arrowstyle="-|>", color=colour, linewidth=1.8), zorder=4)
-            left.text(end[0], end[1] + 0.012, axis, color=colour, fontsize=9)
+            left.text(end[0] - 0.01, end[1] + 0.02, axis, color=colour, fontsize=10, weight="bold", zorder=6)
         x, y = start + np.array([-0.13, 0.16] if prefix == "body" else [0.0, -0.02])
         left.text(x, y, name, color=colour, fontsize=9, ha="center", va="top", zorder=4)
     left.set(aspect="equal", ylim=(-0.1, 0.57))
