@@ -171,7 +171,7 @@ def loop(c):
         for a, b in pairwise(row.split()):
             (x, y, half, _), (u, _, other, _) = boxes[a], boxes[b]
             axes.annotate("", (u - other, y), (x + half, y), arrowprops=arrow)
-    for start, end in (((2.8, 3.6), (3.6, 2.7)), ((2.8, 0.9), (3.6, 1.8)), ((8.85, 2.6), (6.1, 3.55))):
+    for start, end in (((5.3, 3.55), (4.6, 2.7)), ((5.3, 0.95), (4.6, 1.8)), ((8.85, 2.6), (6.1, 3.55))):
         axes.annotate("", end, start, arrowprops=arrow)
     notes = ((1.05, 4.12, "acts"), (1.05, 0.62, "acts"), (8.3, 3.15, "weighs the task"), (4.5, 4.4, "trains"),
              (4.5, -0.45, "trains"))  # fmt: skip
@@ -256,7 +256,7 @@ def commands(c):
     for axes, (key, weights) in zip(figure.subplots(1, 3, sharey=True), c.items(), strict=True):
         shape = weights.reshape(22, 40)
         image = axes.imshow(shape, origin="lower", extent=(-10, 10, -1, 10), aspect="auto", vmin=0, vmax=1)
-        axes.set(title=f"after {key[6:]} commands: {weights.mean():.1%} of all", xlabel="yaw rate [rad/s]")
+        axes.set(title=f"after {key[6:]}: {weights.mean():.1%} of cells", xlabel="yaw rate [rad/s]")
         axes.title.set_fontsize(10)
     figure.axes[0].set_ylabel("v_x [m/s]")
     figure.colorbar(image, ax=figure.axes, label="weight")
@@ -399,7 +399,7 @@ def paper(c):
     """Our Figures 2 to 6: a line for each run; keys are panel:run:axis."""
     figure, axes = panels(3, 5.2, rows=2)
     labels = dict(fig2="Fig. 2, 4: reward, flat", fig3="Fig. 3, 4: reward, rough", energy="Fig. 3: energy [J/m], rough",
-                  fig5="Fig. 5: reward, Eq. (8)", power="Fig. 5: power [W]", fig6="Fig. 6: v_x [m/s]")  # fmt: skip
+                  fig5="Fig. 5: reward, Eq. (8)", power="Fig. 5: power [W]", fig6="Fig. 6, simulated: v_x [m/s]")  # fmt: skip
     runs = list(dict.fromkeys(key.split(":")[1] for key in c))
     colours = dict(zip(runs, COLOURS, strict=False))
     for (panel, label), a in zip(labels.items(), axes, strict=True):
