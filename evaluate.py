@@ -279,7 +279,7 @@ def main(argv):
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; 0.15 for rough)")
-    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (studies/adopt.py)")
+    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
     try:
         if argv[:1] == ["--commands"]:
             print(*sweep.missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")

@@ -10,13 +10,15 @@ import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
 
+STDERR = [2]  # its file descriptor, the last one
+
 
 def say(text, file=None, end="\n"):
     """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal may be closed."""
     try:
         print(text, file=file, end=end, flush=True)
     except OSError:
-        os.dup2(2, 1)  # from here on stdout is stderr, which may still reach someone
+        os.dup2(STDERR[-1], 1)  # from here on stdout is stderr, which may still reach someone
 
 
 def stop_at_once(why):
@@ -73,8 +75,10 @@ LEAVING = threading.Lock()
 def leave(why):
     """End one of several processes with a line, at once: Python's own way would wait for those that are lost."""
     LEAVING.acquire()  # for good: the first thread to come says why
-    print(f"train.py: {why}", file=sys.stderr, flush=True)
-    os._exit(2)
+    try:
+        print(f"train.py: {why}", file=sys.stderr, flush=True)
+    finally:  # also where nobody listens
+        os._exit(2)
 
 
 def leave_on_abort(why):
@@ -83,7 +87,8 @@ def leave_on_abort(why):
     What C++ says goes to a file and not to stderr, which is left to Python.
     """
     said = tempfile.TemporaryFile()  # noqa: SIM115, it is needed to the end
-    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
+    STDERR.append(os.dup(2))
+    sys.stderr = os.fdopen(STDERR[-1], "w", buffering=1)
     os.dup2(said.fileno(), 2)
 
     @ctypes.CFUNCTYPE(None, ctypes.c_int)

@@ -177,7 +177,7 @@ def parse(argv):
     asked = dict(type=float, nargs=3, metavar=("VX", "VY", "YAW"), help="m/s, rad/s (default: the task's greatest)")
     parser.add_argument("--command", **asked)
     parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
-    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1, instead of go1.xml (studies/adopt.py)")
+    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
     parser.add_argument("--slow", type=float, default=1.0, help="show it so many times slower (default: 1)")
     parser.add_argument("--forces", action="store_true", help="draw the forces of the ground on the robot")
     parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")

@@ -1,5 +1,5 @@
-"""`evaluate.py` asks these modules what the paper does not ask of a trained robot.
+"""What `evaluate.py` asks of trained robots beyond the paper's figures, and which runs these figures need.
 
 `gait.py` says how its feet move, `joints.py` what its joints do, `robust.py` what it endures, and `seeds.py` how runs
-differ from seed to seed. `adopt.py` reads other models of the Go1. `sweep.py` knows which runs a figure needs.
+differ from seed to seed. `adopt.py` reads other models of the Go1. `sweep.py` knows the runs of each figure.
 """
