@@ -20,7 +20,7 @@ import platform
 import shlex
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -93,12 +93,10 @@ def lock(folder):
 def running(folder):
     """Whether a process is training in the folder."""
     try:
-        if (folder / "lock").exists():
-            with lock(folder):
-                pass
+        with lock(folder) if (folder / "lock").exists() else nullcontext():
+            return False
     except (ValueError, OSError) as error:
         return isinstance(error, ValueError)
-    return False
 
 
 def save_config(folder, env_cfg, cfg, command, resume=False):

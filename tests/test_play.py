@@ -188,7 +188,7 @@ class FakeRenderer(nullcontext):
         self.shape, self.rng, self.enter_result = (height, width, 3), np.random.default_rng(0), self
 
     def update_scene(self, data, camera, options):
-        pass
+        """Noise needs no scene."""
 
     def render(self):
         return self.rng.integers(256, size=self.shape, dtype=np.uint8)
