@@ -22,7 +22,7 @@ import numpy as np
 import optax
 
 from networks import init_mlp, log_prob, policy, value
-from parallel import average, compiled, own_key, own_seed
+from runtime.parallel import average, compiled, own_key, own_seed
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)

@@ -28,8 +28,8 @@ if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so what MuJoCo would draw with need not work
 
 import measure
-import run_folder
-from studies import adopt, gait, joints, robust, seeds, sweep
+from runtime import run_folder
+from studies import adopt, episodes, gait, joints, robust, seeds, sweep
 
 TABLE1 = dict(zip(sweep.KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
@@ -46,7 +46,7 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
     each = max(1, args.episodes // len(commands))
     rows = []
     for name, runs in sweep.by_label(folders, task).items():
-        both = [measure.both_starts(folder, task, commands, each, args) for folder in runs]
+        both = [episodes.both_starts(folder, task, commands, each, args) for folder in runs]
         played, nominal = zip(*both, strict=True)
         for i, command in enumerate(commands):
             mine = slice(i * each, (i + 1) * each)

@@ -6,10 +6,6 @@ means, or in Table I interquartile means (D26), with two 95 % bootstrap interval
 seeds, as the paper does. The other resamples the seeds, and so allows for what another training would give.
 """
 
-import gzip
-import io
-import zlib
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,18 +16,15 @@ from scipy import stats
 
 import go1_env
 import networks
-import policy_file
-import run_folder
+from runtime import policy_file
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, below which a robot has no energy per velocity (D27)
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged (D18)
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
-ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
 
 watchers = []  # of progress: called with True after each step that is played, with False for episodes that are known
-ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
 
 
 class Episodes(NamedTuple):
@@ -118,63 +111,6 @@ def run_episodes(policy, env, command=None):
     v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
     energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
     return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
-
-
-def episodes(folder, commands, each, clip=None, roughness=None, nominal=False, robot=None):
-    """The Episodes of a run's policy, each of commands (n, 3) `each` times, one command after the other.
-
-    They are played once. `episodes.csv.gz` in the run folder keeps them, with five digits, for the next figure and for
-    whoever has the folder without its policy. Training deletes it with the next policy. Other arguments: as for `load`.
-    Those of another robot are not kept.
-    """
-    folder, commands = Path(folder), np.round(commands, 3)
-    if robot is not None:
-        loaded = load(folder, each * len(commands), clip, roughness, nominal, robot=robot)
-        return run_episodes(*loaded, np.repeat(commands, each, 0))
-    world = evaluated(run_folder.load_config(folder)[0], clip, roughness, nominal)
-    asked = np.array([(world.start_spread, *world.roughness, world.clip == "torque", *row) for row in commands])
-    table = unpack(folder / run_folder.EPISODES)
-    mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
-    if any(rows.sum() != each for rows in mine):
-        stamp = policy_file.stamp(folder)
-        played = run_episodes(*load(folder, each * len(asked), clip, roughness, nominal), np.repeat(commands, each, 0))
-        new = np.column_stack([np.repeat(asked, each, 0), *played])
-        data = pack(np.concatenate([table[~np.any(mine, 0)], new]))
-        if stamp == policy_file.stamp(folder):  # a training that saves another policy meanwhile makes these void
-            with suppress(OSError):  # who may not write there plays again the next time
-                run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
-        return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)
-    for watch in watchers:
-        watch(False)
-    return Episodes(*np.concatenate([table[rows] for rows in mine])[:, len(ASKED) :].T)
-
-
-def both_starts(folder, task, commands, each, args):
-    """Two Episodes of a run, each command (n, 3) `each` times: with random starts, then with nominal ones (D35).
-
-    args: clip, roughness and robot as for `load`, where a roughness of None is that of the paper's evaluation
-    """
-    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    return [episodes(folder, commands, each, args.clip, roughness, nominal, args.robot) for nominal in (False, True)]
-
-
-def pack(table):
-    """A table (n, columns of ASKED and of Episodes) as the bytes of a compressed CSV."""
-    np.savetxt(text := io.BytesIO(), table, "%.5g", ",", header=",".join((*ASKED, *Episodes._fields)), comments="")
-    return gzip.compress(text.getvalue(), mtime=0)
-
-
-def unpack(file):
-    """The table in a file that `pack` made, empty if the file is missing, damaged or of other columns."""
-    columns = (*ASKED, *Episodes._fields)
-    try:
-        with gzip.open(file, "rt") as text:
-            header, *rows = text.read().split()
-        return np.array([row.split(",") for row in rows if header == ",".join(columns)], float).reshape(
-            -1, len(columns)
-        )
-    except (OSError, EOFError, ValueError, zlib.error):
-        return np.empty((0, len(columns)))
 
 
 def finite_mean(x):

@@ -34,10 +34,9 @@ from PIL import Image, ImageDraw
 import go1
 import go1_env
 import measure
-import policy_file
-import run_folder
 import tasks
 import terrain
+from runtime import policy_file, run_folder
 from studies import adopt
 
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes

@@ -1,8 +1,8 @@
 """The command line: `python train.py --task flat` trains a policy and keeps everything in a run folder.
 
 Every field of three dataclasses (`Options` here, `tasks.Config`, `eipo.Config`) is a flag of the same name. The files
-of a run folder are listed in `run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on from its last
-checkpoint with --resume. It ends with the same bits as one that was never stopped.
+of a run folder are listed in `runtime/run_folder.py`. A run that was stopped, by Ctrl-C or by kill -9, goes on from its
+last checkpoint with --resume. It ends with the same bits as one that was never stopped.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import get_args
 
-from interrupt import leave, say, stop_at_boundary, stop_imports
+from runtime.interrupt import leave, say, stop_at_boundary, stop_imports
 
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
@@ -27,12 +27,9 @@ import jax
 
 import eipo
 import go1_env
-import metrics
 import networks
-import parallel
-import policy_file
-import run_folder
 import tasks
+from runtime import metrics, parallel, policy_file, run_folder
 
 
 @dataclass(frozen=True)

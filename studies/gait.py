@@ -27,9 +27,9 @@ from scipy import signal
 import energy
 import go1
 import measure
-import run_folder
 import tasks
 import terrain
+from runtime import run_folder
 
 SETTLE, WINDOW = 200, 200  # control steps, 4 s each: before anything is recorded, and recorded
 SHOWN = 2.0  # s, of which the feet are drawn

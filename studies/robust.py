@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 import go1
 import measure
-import run_folder
 import tasks
+from runtime import run_folder
 
 PARAMETERS = dict(  # those that are fields of tasks.Config, and then those of the joints of the model
     payload=(-3, -2, -1, 0, 1, 2, 3, 5),  # kg on the trunk

@@ -6,9 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import measure
-import metrics
-import run_folder
-from studies import sweep
+from runtime import metrics, run_folder
+from studies import episodes, sweep
 
 LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
 
@@ -21,7 +20,7 @@ def overview(folder, args):
     env_cfg, cfg = run_folder.load_config(folder)
     commands = np.zeros((1, 3)) if env_cfg.task == "velocity" else measure.FORWARD
     each = max(1, args.episodes // len(commands))
-    e, nominal = measure.both_starts(folder, env_cfg.task, commands, each, args)
+    e, nominal = episodes.both_starts(folder, env_cfg.task, commands, each, args)
     row = dict(run=folder.name, seed=cfg.seed, performance=e.performance.mean(), fell=e.fell.mean())
     row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
     row |= {name: measure.finite_mean(getattr(e, name)) for name in ("v_x", "peak", "power", "energy")}

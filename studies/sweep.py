@@ -8,9 +8,8 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-import metrics
-import run_folder
 import train
+from runtime import metrics, run_folder
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))

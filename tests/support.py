@@ -11,10 +11,9 @@ import numpy as np
 import eipo
 import go1
 import go1_env
-import policy_file
-import run_folder
 import tasks
 from networks import Layer
+from runtime import policy_file, run_folder
 
 LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 

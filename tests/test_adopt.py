@@ -14,8 +14,8 @@ import go1
 import go1_env
 import measure
 import play
-import run_folder
 import tasks
+from runtime import run_folder
 from studies import adopt, robust
 
 # A Go1 written as others write it: names and settings as in MuJoCo Menagerie's, two capsules a calf, feet of 2.3 cm,

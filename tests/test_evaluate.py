@@ -23,11 +23,11 @@ from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of
 import eipo
 import evaluate
 import measure
-import policy_file
 import rewards
-import run_folder
 import tasks
 import train
+from runtime import policy_file, run_folder
+from studies import episodes
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 ASKED = ["0", "0.1", "0.2", "0.3", "0.4", "0.5", "0.6", "0.7", "0.8", "0.9", "1"]
@@ -339,21 +339,21 @@ def test_episodes_are_played_once(runs, played):
     expected = [0.33333, 1000.3, 2000.3, 3000.3]
     policy = (folder / "policy.npz").read_bytes()
     for _ in range(2):
-        assert list(measure.episodes(folder, TWO, 2).v_x) == expected
+        assert list(episodes.of_run(folder, TWO, 2).v_x) == expected
         (folder / "policy.npz").unlink(missing_ok=True)
     assert played == [4]
     (folder / "policy.npz").write_bytes(policy)
     others = [dict(clip="torque"), dict(roughness=0.1), dict(nominal=True)]
     for k, other in enumerate(others):
-        assert measure.episodes(folder, TWO, 2, **other).fell[0] == pytest.approx(4000 * (k + 1) + 1 / 3, abs=0.5)
-    assert list(measure.episodes(folder, TWO[:1], 2).peak) == expected[:2]
-    assert list(measure.episodes(folder, TWO, 2).peak) == expected and played == [4] * 4
-    assert len(measure.episodes(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
+        assert episodes.of_run(folder, TWO, 2, **other).fell[0] == pytest.approx(4000 * (k + 1) + 1 / 3, abs=0.5)
+    assert list(episodes.of_run(folder, TWO[:1], 2).peak) == expected[:2]
+    assert list(episodes.of_run(folder, TWO, 2).peak) == expected and played == [4] * 4
+    assert len(episodes.of_run(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
 
 
 def test_kept_episodes_equal_those_that_were_played(runs):
     """NaN included: a robot that falls or stands has no speed in the second half or no J/m."""
-    first, again = (measure.episodes(runs["flat"], TWO, 8) for _ in range(2))
+    first, again = (episodes.of_run(runs["flat"], TWO, 8) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert np.isnan(first.energy).any() and np.isfinite(first.power).all()
 
@@ -362,7 +362,7 @@ def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
     """Also if it is saved while the episodes of the one before are being played."""
     folder = runs["flat"]
     kept = folder / run_folder.EPISODES
-    measure.episodes(folder, TWO, 1)
+    episodes.of_run(folder, TWO, 1)
     policy_file.save(folder / "policy.npz", *policy_file.load(folder / "policy.npz"))
     assert not kept.exists()
     play = measure.run_episodes
@@ -372,18 +372,18 @@ def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
         return play(*arguments)
 
     monkeypatch.setattr(measure, "run_episodes", meanwhile)
-    assert len(measure.episodes(folder, TWO, 1).v_x) == 2 and not kept.exists()
+    assert len(episodes.of_run(folder, TWO, 1).v_x) == 2 and not kept.exists()
 
 
-@pytest.mark.parametrize("data", [b"", b"no gzip", measure.pack(np.ones((3, 17)))[:-9], gzip.compress(b"a,b\n1,2\n")])
+@pytest.mark.parametrize("data", [b"", b"no gzip", episodes.pack(np.ones((3, 17)))[:-9], gzip.compress(b"a,b\n1,2\n")])
 def test_damaged_or_older_episodes_are_played_again(runs, played, data):
     (runs["flat"] / run_folder.EPISODES).write_bytes(data)
-    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2 and played == [2]
+    assert len(episodes.of_run(runs["flat"], TWO, 1).v_x) == 2 and played == [2]
 
 
 def test_a_folder_that_cannot_be_written_is_evaluated_all_the_same(runs, played, monkeypatch):
     monkeypatch.setattr(run_folder, "replace_file", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
-    assert len(measure.episodes(runs["flat"], TWO, 1).v_x) == 2
+    assert len(episodes.of_run(runs["flat"], TWO, 1).v_x) == 2
     assert not (runs["flat"] / run_folder.EPISODES).exists()
 
 

@@ -14,11 +14,9 @@ import pytest
 from support import ROOT, TINY, error_of
 
 import eipo
-import metrics
-import parallel
-import run_folder
 import train
 from eipo import Config, Estimate, Rollout
+from runtime import metrics, parallel, run_folder
 
 FLAGS = [*TINY, "--num-envs", "8", "--threads", "1", "--checkpoint-every", "4", "--task", "curriculum", "--iterations"]
 SECONDS = 480  # in which any process of a test must have ended; on two idle cores it takes less than 60

@@ -22,10 +22,9 @@ import go1
 import go1_env
 import networks
 import play
-import policy_file
-import run_folder
 import tasks
 import terrain
+from runtime import policy_file, run_folder
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
 if play.HEADLESS:  # it has set this for itself; processes that other tests start must not inherit it

@@ -10,8 +10,7 @@ from support import ROOT, make, make_run, place
 
 import go1
 import go1_env
-import policy_file
-import run_folder
+from runtime import policy_file, run_folder
 
 SENSORS = ("time", "gravity", "command", "q", "qd")
 WIDTHS = dict(gravity=3, command=3, q=12, qd=12, frame=44, estimate=3, action=12, target=12)
@@ -31,6 +30,12 @@ def runs(tmp_path_factory):
     return folders
 
 
+def trace_of(path):
+    """The trace in a policy.npz: {"time": (50,), "gravity": (50, 3), ...}."""
+    arrays = run_folder.read_npz(path)
+    return {name.removeprefix("trace."): x for name, x in arrays.items() if name.startswith("trace.")}
+
+
 def readme(folder, monkeypatch):
     """The names that README's lines define in a folder with a policy.npz."""
     section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
@@ -45,7 +50,7 @@ def readme(folder, monkeypatch):
 def test_readmes_lines_follow_the_trace(runs, monkeypatch, name):
     """From sensors alone: frames, and the last target in them, are the lines' own. Rounded to float32, in N m 0.002."""
     folder = runs.get(name, ROOT / name)
-    theirs, trace = readme(folder, monkeypatch), policy_file.load_trace(folder / "policy.npz")
+    theirs, trace = readme(folder, monkeypatch), trace_of(folder / "policy.npz")
     for k, time in enumerate(trace["time"]):
         if time == 0:
             target, frames = theirs["p"]["q_nominal"], []
@@ -61,7 +66,7 @@ def test_readmes_lines_follow_the_trace(runs, monkeypatch, name):
 def test_the_trace_is_what_the_simulation_did(runs, task):
     """The actions of the trace, played once more, make the readings of the trace: 50 steps of 20 ms, no noise."""
     path = runs[task] / "policy.npz"
-    trace, (_, env_cfg) = policy_file.load_trace(path), policy_file.load(path)
+    trace, (_, env_cfg) = trace_of(path), policy_file.load(path)
     env = go1_env.Go1Env(1, replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9))
     obs, _ = env.reset(0, [1, 0, 0])
     assert {name: x.shape for name, x in trace.items()} == dict(time=(50,)) | {n: (50, w) for n, w in WIDTHS.items()}
@@ -107,32 +112,8 @@ def test_the_estimate_is_the_velocity_of_the_trunk(tmp_path):
 # ---- older policies ----
 
 
-def without_trace(path):
-    """The arrays of a policy.npz of the time before traces, which path is now."""
+def test_an_older_policy_runs_without_a_trace(tmp_path):
+    path = make_run(tmp_path) / "policy.npz"
     arrays = {name: x for name, x in run_folder.read_npz(path).items() if not name.startswith("trace.")}
-    with open(path, "wb") as file:
-        np.savez(file, **arrays)
-    return arrays
-
-
-def test_an_older_policy_runs_and_says_that_it_has_no_trace(tmp_path):
-    path = make_run(tmp_path) / "policy.npz"
-    without_trace(path)
-    assert policy_file.load(path)[1].task == "flat"
-    with pytest.raises(ValueError, match=r"policy\.npz has no trace.*add_trace") as error:
-        policy_file.load_trace(path)
-    assert "\n" not in str(error.value)
-
-
-def test_a_trace_can_be_added_and_changes_nothing_else(tmp_path):
-    """The same trace as when the policy was saved, and the same bits of everything else; episodes are not deleted."""
-    path = make_run(tmp_path) / "policy.npz"
-    trace, arrays = policy_file.load_trace(path), without_trace(path)
-    (tmp_path / run_folder.EPISODES).write_bytes(b"")
-    policy_file.add_trace(path)
-    assert {name: x.tobytes() for name, x in policy_file.load_trace(path).items()} == {
-        name: x.tobytes() for name, x in trace.items()
-    }
-    now = run_folder.read_npz(path)
-    assert all(now[name].tobytes() == x.tobytes() for name, x in arrays.items()) and len(now) == len(arrays) + 9
-    assert (tmp_path / run_folder.EPISODES).exists()
+    np.savez(path, **arrays)
+    assert policy_file.load(path)[1].task == "flat" and trace_of(path) == {}

@@ -17,7 +17,7 @@ import tasks
 import train
 
 ROOT = Path(train.__file__).parent
-FILES = [*ROOT.glob("*.py"), *ROOT.glob("studies/*.py")]
+FILES = [*ROOT.glob("*.py"), *ROOT.glob("runtime/*.py"), *ROOT.glob("studies/*.py")]
 MODULES = sorted(str(path.relative_to(ROOT).with_suffix("")) for path in FILES)
 # imports go down this list, never up; the second entry is what else a module may import beyond the standard library
 LAYERS = {
@@ -30,15 +30,17 @@ LAYERS = {
     "go1": {"numpy", "mujoco"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "networks": {"numpy", "jax", "scipy"},
-    "interrupt": set(),
-    "parallel": {"numpy", "jax"},
+    "runtime/__init__": set(),
+    "runtime/interrupt": set(),
+    "runtime/parallel": {"numpy", "jax"},
     "eipo": {"numpy", "jax", "optax"},
-    "run_folder": {"numpy", "jax"},
-    "policy_file": {"numpy", "jax"},
-    "metrics": {"numpy", "matplotlib"},
+    "runtime/run_folder": {"numpy", "jax"},
+    "runtime/policy_file": {"numpy", "jax"},
+    "runtime/metrics": {"numpy", "matplotlib"},
     "train": {"jax"},
     "measure": {"numpy", "jax", "scipy"},
     "studies/__init__": set(),
+    "studies/episodes": {"numpy"},
     "studies/adopt": {"numpy", "mujoco"},
     "studies/gait": {"numpy", "scipy", "matplotlib"},
     "studies/joints": {"numpy", "matplotlib"},
@@ -66,12 +68,13 @@ def test_imports_go_one_way(module):
         if isinstance(node, ast.Import):
             imported |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            whole = node.module.split(".")[0]
-            imported |= {f"studies/{alias.name}" for alias in node.names} if whole == "studies" else {whole}
+            package, *inside = node.module.split(".")
+            names = inside or [alias.name for alias in node.names]
+            imported |= {f"{package}/{x}" for x in names} if package in ("runtime", "studies") else {package}
     above = list(LAYERS)[: list(LAYERS).index(module)]
     assert imported - set(sys.stdlib_module_names) <= LAYERS[module] | set(above)
     if module in ("networks", "eipo"):  # they know nothing of robots or files, nor through each other
-        assert imported & set(LAYERS) == ({"networks", "parallel"} if module == "eipo" else set())
+        assert imported & set(LAYERS) == ({"networks", "runtime/parallel"} if module == "eipo" else set())
         assert not imported & {"os", "pathlib", "json"}
 
 
@@ -167,7 +170,8 @@ def test_a_wheel_has_all_modules_and_the_robot(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     with ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
-    found = {str(path.relative_to(tmp_path)) for path in [*tmp_path.glob("*.*"), *tmp_path.glob("studies/*")]}
+    found = [path for pattern in ("*.*", "runtime/*", "studies/*") for path in tmp_path.glob(pattern)]
+    found = {str(path.relative_to(tmp_path)) for path in found}
     info = {path.name for path in tmp_path.glob("*.dist-info")}
     assert found - {wheel.name, *info} == {*(f"{module}.py" for module in MODULES), "go1.xml"}
     code = "import go1; print(go1.__file__, go1.build_model(0.005, None).nu)"

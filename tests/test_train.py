@@ -16,12 +16,9 @@ from support import DAMAGES, ROOT, TINY, contents, error_of
 
 import evaluate
 import go1_env
-import interrupt
 import measure
-import metrics
-import policy_file
-import run_folder
 import train
+from runtime import interrupt, metrics, policy_file, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 

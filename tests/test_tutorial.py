@@ -273,7 +273,7 @@ def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, line, tmp_
     copy.mkdir()
     for path in [*ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"]:
         shutil.copy(path, copy)
-    for folder in ("studies", "tests"):
+    for folder in ("runtime", "studies", "tests"):
         shutil.copytree(ROOT / folder, copy / folder)
     (home,) = (str(path.relative_to(ROOT)) for path in TESTS if f"def {test}(" in path.read_text())
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", home, "-k", test]

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import go1
-import metrics
+from runtime import metrics
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"  # our trained runs

@@ -11,7 +11,7 @@ import energy
 import go1
 import go1_env
 import measure
-import policy_file
+from runtime import policy_file
 
 
 def joints(*values):

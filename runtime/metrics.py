@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 import curriculum
-import run_folder
-from interrupt import say
+from runtime import run_folder
+from runtime.interrupt import say
 
 FAULTS = ("dropped", "skipped", "prime_dropped", "prime_skipped", "ended_diverged")  # shown only if they are not 0
 

@@ -26,7 +26,6 @@ import itertools
 import json
 from contextlib import suppress
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -34,8 +33,8 @@ import numpy as np
 import go1
 import go1_env
 import networks
-import run_folder
 import tasks
+from runtime import run_folder
 
 STEPS = 50  # control steps of the trace, 1 s
 
@@ -121,18 +120,3 @@ def stamp(folder):
     """What tells one policy of a run folder from a later one: time and size of policy.npz; None without one."""
     policy = folder / "policy.npz"
     return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None
-
-
-def add_trace(path):
-    """Give an older policy.npz a trace, or a new one. Everything else in the file stays as it is."""
-    arrays = run_folder.read_npz(path) | trace(*load(path))
-    run_folder.replace_file(Path(path), lambda file: np.savez_compressed(file, **arrays))
-
-
-def load_trace(path):
-    """The trace in a policy.npz, {"time": (50,), "gravity": (50, 3), ...}, as in the table above."""
-    arrays = run_folder.read_npz(path)
-    found = {name.removeprefix("trace."): x for name, x in arrays.items() if name.startswith("trace.")}
-    if not found:
-        raise ValueError(f"{path} has no trace, because it is of an older version: policy_file.add_trace adds one")
-    return found

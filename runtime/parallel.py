@@ -15,7 +15,7 @@ from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
-from interrupt import leave_on_abort
+from runtime.interrupt import leave_on_abort
 
 AXIS = PartitionSpec("process")
 JOIN, SILENCE = 60, 20  # s in which all processes must have come, and s after which a silent one counts as ended

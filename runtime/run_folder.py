@@ -31,8 +31,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import eipo
-import parallel
 import tasks
+from runtime import parallel
 
 try:
     import fcntl
