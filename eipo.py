@@ -1,7 +1,7 @@
-"""Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper, with PPO for the updates of lines 9 and 11.
+"""Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper.
 
 `eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline, which is Algorithm 1
-without pi_prime. What they call follows in the order of the lines.
+without pi_prime. What they call follows in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
@@ -12,20 +12,18 @@ An environment is anything that has `reset` and `step` as in `go1_env.py`: this 
 The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
-from networks import init_mlp, log_prob, policy, value
-from runtime.parallel import average, compiled, own_key, own_seed
+from networks import log_prob, policy, value
+from ppo import Learner, init_learner, ppo_update
+from runtime.parallel import average, own_key, own_seed
 
-LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
-LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
 GIVE_UP = 10  # [ours] training ends with an error after so many iterations without one finite gradient (D44)
 
 
@@ -58,45 +56,6 @@ class Config:
     mirror: bool = True  # [ours] weights are tied by the robot's mirror symmetry; --no-mirror: plain MLPs (D28)
     hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
     hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
-
-
-def check(cfg, processes=1):
-    """Raise ValueError, in one line, for a Config that cannot train, on so many processes."""
-    policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
-    shares = policies * processes
-    ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
-    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE, num_epochs=(1, 1000))
-    for field in fields(cfg):
-        x, (low, high) = getattr(cfg, field.name), ranges.get(field.name, (int(field.type is int), 1e9))
-        if type(x) in (int, float) and not low <= x <= high:  # nan as well
-            raise ValueError(f"{field.name} is {x}: it must be from {low:g} to {high:g}")
-    for wrong, message in (
-        (cfg.algo not in ("eipo", "ppo"), f"unknown algo {cfg.algo!r}: choose eipo or ppo"),
-        (not all(1 <= n <= 4096 for n in widths) or len(widths) > 8,  # of two policies, with Adam, they take 8 GB
-         f"hidden layers are {cfg.hidden} and {cfg.hidden_estimator}: give at most 8, of 1 to 4096 units"),
-        (cfg.mirror and any(n % 2 for n in widths), "a hidden layer of odd width has no halves: or give --no-mirror"),
-        (cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1],
-         f"lr is {cfg.lr}: with a target_kl it stays in {LR_RANGE[0]} to {LR_RANGE[1]}, give --target-kl 0"),
-        (policies == 1 and cfg.alpha0 is not None, "PPO's alpha is 1 / lam: give --lam instead of alpha0"),
-        (policies == 2 and cfg.lam == 0, "EIPO starts at alpha = 1 / lam, so lam must be positive: lam 0 is for ppo"),
-        (cfg.num_envs % policies, f"num_envs is {cfg.num_envs}: EIPO gives half to each policy, so it must be even"),
-        (cfg.num_envs % shares, f"num_envs is {cfg.num_envs}: {processes} processes have equal shares for each policy, "
-                                f"so it must be a multiple of {shares}"),
-        (cfg.num_steps * cfg.num_envs // shares < cfg.num_minibatches,
-         "num_steps * num_envs gives each policy fewer samples than num_minibatches: raise num_envs"),
-        (cfg.num_steps * cfg.num_envs > 2**21,  # a sample takes some kB
-         f"num_steps is {cfg.num_steps} and num_envs {cfg.num_envs}: a rollout has at most {2**21} samples"),
-    ):  # fmt: skip
-        if wrong:
-            raise ValueError(message)
-
-
-class Learner(NamedTuple):
-    """A policy and what its training keeps."""
-
-    params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
-    opt_state: tuple  # of `optimizer`
-    lr: jax.Array  # () Adam's step size now, one for all three networks (D32)
 
 
 class Dual(NamedTuple):
@@ -235,33 +194,6 @@ def init_state(env, env_prime, cfg):
     return State(0, pi, pi_prime, Dual(alpha, 0.0), at, at_prime)
 
 
-@partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
-def init_learner(key, sizes, heads, cfg):
-    """A new Learner, whose networks are random.
-
-    sizes: for each of obs, privileged and action, how many coordinates are even and how many odd (see `networks.py`)
-    heads: K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task) (D30)
-    """
-    obs, privileged, action = sizes
-    both = obs[0] + privileged[0], obs[1] + privileged[1]
-    hidden, hidden_estimator = ([(n // 2, n // 2) if obs[1] else (n, 0) for n in widths]
-                                for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
-    k_actor, k_critic, k_estimator = jax.random.split(key, 3)
-    actor = init_mlp(k_actor, (both, *hidden, action))
-    critic = init_mlp(k_critic, (both, *hidden, (heads, 0)))
-    estimator = init_mlp(k_estimator, (obs, *hidden_estimator, privileged))
-    log_std = jnp.full(action[0], cfg.log_std, jnp.float32)
-    params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
-    return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
-
-
-def optimizer(cfg):
-    """Adam without its step size. Gradients are clipped network by network (D39), non-finite ones are skipped (D44)."""
-    clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
-    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam(b1=0.9, b2=0.999))
-    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
-
-
 # ---- L6, L7: rollouts ----
 
 
@@ -352,71 +284,6 @@ def estimate_J(estimate):
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
     return average(estimate.target[..., 0].mean())
-
-
-# ---- L9, L11: the PPO update ----
-
-
-def ppo_update(learner, tau, estimate, advantage, key, cfg):
-    """All epochs and minibatches of one iteration; returns the new Learner and the means of what `ppo_loss` logs.
-
-    advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
-    """
-    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
-                target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
-    return ppo_epochs(learner, data, estimate.sample, key, cfg)
-
-
-@compiled
-def ppo_epochs(learner, data, sample, key, cfg):
-    """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the processes."""
-    advantage = data["advantage"] - average(data["advantage"].mean())
-    advantage = advantage / (jnp.sqrt(average(jnp.square(advantage).mean())) + 1e-8)
-    size, sample = advantage.size, sample.ravel()
-    data = {name: x.reshape(size, *x.shape[2:]) for name, x in (data | dict(advantage=advantage)).items()}
-    orders = jax.vmap(lambda k: jax.random.permutation(k, sample))(jax.random.split(key, cfg.num_epochs))
-    minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
-
-    def step(learner, chosen):
-        batch = {name: x[chosen] for name, x in data.items()}
-        gradient, log = average(jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg))
-        direction, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
-        params = jax.tree.map(lambda p, d: p - learner.lr * d, learner.params, direction)
-        params["actor"]["log_std"] = jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)
-        return Learner(params, opt_state, learner.lr), log
-
-    learner, log = jax.lax.scan(step, learner, minibatches)
-    log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
-    dropped = average(jax.process_count() * (sample != jnp.arange(size)).sum())
-    log |= dict(dropped=dropped)  # samples of all processes; `skipped` are minibatches, since the start
-    return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
-
-
-def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. Each network learns from its own term; values are not clipped (D31)."""
-    mean, std, velocity = policy(params, batch["obs"])
-    log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
-    ratio = jnp.exp(log_ratio)
-    surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
-    entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
-    estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
-    loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
-    kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new) from the samples and is never negative
-    return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
-
-
-def clipped_surrogate(ratio, advantage, clip_eps):
-    """PPO's objective (...,): min(ratio A, clip(ratio, 1 - eps, 1 + eps) A)."""
-    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip_eps, 1 + clip_eps) * advantage)
-
-
-def adapt_lr(lr, kl, cfg):
-    """The next step size: smaller if the policy moved too far, larger if it hardly moved. The lab's rule (D20, D32)."""
-    if cfg.target_kl == 0:
-        return lr
-    factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
-    return jnp.clip(lr * factor, *LR_RANGE)
 
 
 # ---- L13: the multiplier ----

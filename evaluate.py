@@ -209,25 +209,6 @@ def show_progress(batches):
         measure.watchers.clear()
 
 
-def keep_runs(out, folders):
-    """Keep of every run, in out/NAME, what its numbers rest on: settings, episodes, policy, every tenth row of metrics.
-
-    So a figure can be drawn again without the run, and `--commands` counts a run in results/TASK as done.
-    """
-    for folder in folders:
-        if (kept := out / folder.name).resolve() == folder.resolve():
-            continue
-        kept.mkdir(exist_ok=True)
-        for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
-            if not (folder / name).exists():
-                continue
-            data = (folder / name).read_bytes()
-            if name == "metrics.csv":
-                rows = data.splitlines(keepends=True)
-                data = b"".join([*rows[:-1:10], *rows[-1:]])
-            run_folder.replace_file(kept / name, lambda file, data=data: file.write(data))
-
-
 def save(out, what, rows, figure):
     """Write what.csv and what.png into the folder out: both, or if that fails neither."""
     text, image = io.StringIO(newline=""), io.BytesIO()
@@ -253,7 +234,7 @@ def draw(what, folders, args):
         run_folder.check_writable(out / f"{what}.{suffix}")
     save(out, what, *FIGURES[what](folders, args))
     if args.out:
-        keep_runs(out, folders)
+        sweep.keep_runs(out, folders)
 
 
 def print_table(folders, args):

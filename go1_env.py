@@ -38,6 +38,7 @@ import rewards
 import shaped
 import tasks
 import terrain
+from runtime.limits import check_world
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
@@ -61,14 +62,14 @@ class Go1Env:
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
     robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
-    Raises ValueError for what tasks.check refuses.
+    Raises ValueError for what runtime.limits.check_world refuses.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
 
     def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None):
-        tasks.check(num_envs, env_cfg, threads)
+        check_world(num_envs, env_cfg, threads)
         self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
         obs_mirror = np.kron(np.eye(env_cfg.history), FRAME_MIRROR)

@@ -30,6 +30,8 @@ import go1_env
 import networks
 import tasks
 from runtime import metrics, parallel, policy_file, run_folder
+from runtime.limits import check_world
+from runtime.settings import check_learner, tuples
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def parse(argv):
             default = [] if len(by_task) == len(paper) else [str(field.default).lower()]
             text = f"{comments[field.name]} (default: {', '.join(default + by_task)})".replace("%", "%%")
             parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind_of(field))
-    given = run_folder.tuples(vars(parser.parse_args(argv)))
+    given = tuples(vars(parser.parse_args(argv)))
     return [{f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS]
 
 
@@ -133,8 +135,8 @@ def prepare(options, given_env, given_learner):
         if not (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
-    eipo.check(cfg, max(1, options.processes or 1))
-    tasks.check(cfg.num_envs, env_cfg, options.threads)
+    check_learner(cfg, max(1, options.processes or 1))
+    check_world(cfg.num_envs, env_cfg, options.threads)
     return folder, env_cfg, cfg
 
 
@@ -148,7 +150,7 @@ def agree(options, env_cfg, cfg):
             if other[name] != x and not resumed:
                 flag = "--" + name.replace("_", "-")
                 raise ValueError(f"process {process} has {flag} {other[name]}, not {x}: give all the same flags")
-    return [config(**run_folder.tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]]
+    return [config(**tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]]
 
 
 def repeat_arithmetic(threads):

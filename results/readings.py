@@ -21,6 +21,7 @@ import jax.numpy as jnp
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import eipo
+import ppo
 import train
 
 
@@ -61,10 +62,10 @@ def exchange(env, env_prime, cfg, state=None):
                               tau.after, tau.final)  # fmt: skip
         objective = normalised(eipo.mix(both.advantage, dual.alpha, cfg.lam))
         objective *= jnp.concatenate([jnp.ones_like(weight), weight], 1)
-        pi, trained = eipo.ppo_update(pi, tau_pi, both, objective, key_update, cfg)  # L9: on twice the samples
+        pi, trained = ppo.ppo_update(pi, tau_pi, both, objective, key_update, cfg)  # L9: on twice the samples
 
         task = est_prime.advantage[..., 0]
-        pi_prime, trained_prime = eipo.ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)
+        pi_prime, trained_prime = ppo.ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)
         gap = float(eipo.estimate_J(est) - eipo.estimate_J(est_prime))
         metrics = eipo.summary(iteration, est, dual, cfg) | dict(gap=gap, borrowed=weight.mean()) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}

@@ -35,6 +35,8 @@ import go1_env
 import networks
 import tasks
 from runtime import run_folder
+from runtime.limits import check_world
+from runtime.settings import to_config
 
 STEPS = 50  # control steps of the trace, 1 s
 
@@ -96,8 +98,8 @@ def load(path):
         return [networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices]
 
     try:
-        env_cfg = run_folder.to_config(tasks.Config, json.loads(str(arrays["config"])))
-        tasks.check(1, env_cfg, None)
+        env_cfg = to_config(tasks.Config, json.loads(str(arrays["config"])))
+        check_world(1, env_cfg, None)
         params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
         check_finite(params)
         obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)

@@ -21,10 +21,9 @@ import shlex
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +32,8 @@ import numpy as np
 import eipo
 import tasks
 from runtime import parallel
+from runtime.limits import check_world
+from runtime.settings import check_learner, to_config, tuples
 
 try:
     import fcntl
@@ -112,31 +113,13 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
     replace_file(folder / "config.json", lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
 
 
-def tuples(record):
-    """The record with its lists turned back into tuples, which JSON does not have."""
-    return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
-
-
-def to_config(kind, record):
-    """The dataclass `kind` of a record from JSON. TypeError for names and types that are not those of its fields."""
-    config = kind(**tuples(record))
-    for field in fields(kind):
-        x, part = getattr(config, field.name), type(field.default[0]) if field.type is tuple else field.type
-        kinds = get_args(part) or (part,)  # for `float | None` these are float and NoneType
-        parts = x if field.type is tuple else (x,)
-        if type(parts) is not tuple or not {type(y) for y in parts} <= {*kinds, *[int] * (float in kinds)}:
-            what = "a list of " * (field.type is tuple) + " or ".join(k.__name__ for k in kinds)
-            raise TypeError(f"{field.name} is {x!r}: it must be {what}")
-    return config
-
-
 def load_config(folder):
     """The tasks.Config and eipo.Config of a run."""
     try:
         record = json.loads((folder / "config.json").read_text())
         env_cfg, cfg = to_config(tasks.Config, record["env"]), to_config(eipo.Config, record["learner"])
-        tasks.check(cfg.num_envs, env_cfg, None)
-        eipo.check(cfg if cfg.algo == "eipo" else replace(cfg, alpha0=None))  # of PPO older runs have a number there
+        check_world(cfg.num_envs, env_cfg, None)
+        check_learner(cfg if cfg.algo == "eipo" else replace(cfg, alpha0=None))  # of PPO older runs have a number there
         return env_cfg, cfg
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None

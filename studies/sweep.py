@@ -98,6 +98,25 @@ def progress(argv):
     return "done" if last(folder) >= cfg.iterations else "started"
 
 
+def keep_runs(out, folders):
+    """Keep of every run, in out/NAME, what its numbers rest on: settings, episodes, policy, every tenth row of metrics.
+
+    So a figure can be drawn again without the run, and `--commands` counts a run in results/TASK as done.
+    """
+    for folder in folders:
+        if (kept := out / folder.name).resolve() == folder.resolve():
+            continue
+        kept.mkdir(exist_ok=True)
+        for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
+            if not (folder / name).exists():
+                continue
+            data = (folder / name).read_bytes()
+            if name == "metrics.csv":
+                rows = data.splitlines(keepends=True)
+                data = b"".join([*rows[:-1:10], *rows[-1:]])
+            run_folder.replace_file(kept / name, lambda file, data=data: file.write(data))
+
+
 def last(folder):
     """The last iteration in a run's metrics.csv."""
     return metrics.read(folder).get("iteration", [0])[-1]

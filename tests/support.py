@@ -11,6 +11,7 @@ import numpy as np
 import eipo
 import go1
 import go1_env
+import ppo
 import tasks
 from networks import Layer
 from runtime import policy_file, run_folder
@@ -123,7 +124,7 @@ def make_run(folder, task="flat", action=None, **learner):
     env_cfg = tasks.task_config(task, history=2, tiles=2)
     cfg = eipo.Config(hidden=(8,), hidden_estimator=(8,), **learner)
     sizes = (2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)
-    params = eipo.init_learner(jax.random.key(cfg.seed), sizes, 2, cfg).params
+    params = ppo.init_learner(jax.random.key(cfg.seed), sizes, 2, cfg).params
     if action is not None:
         last = params["actor"]["layers"][-1]
         params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))

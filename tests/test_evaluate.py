@@ -20,13 +20,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of, full_disk, make_run
 
-import eipo
 import evaluate
 import measure
 import rewards
 import tasks
 import train
-from runtime import policy_file, run_folder
+from runtime import policy_file, run_folder, settings
 from studies import episodes
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
@@ -163,7 +162,7 @@ def scripted(monkeypatch):
 def unsaved(monkeypatch):
     """Instead of files: a list of the rows and figures that would have been saved."""
     made = []
-    monkeypatch.setattr(evaluate, "keep_runs", lambda out, folders: None)
+    monkeypatch.setattr(evaluate.sweep, "keep_runs", lambda out, folders: None)
     monkeypatch.setattr(evaluate, "save", lambda out, what, rows, drawn: made.append((rows, drawn)))
     return made
 
@@ -715,7 +714,7 @@ def settled(line):
     assert (python, script) == ("python", "train.py")
     options, *given = train.parse(argv)
     env_cfg, cfg = train.settle(*given)
-    eipo.check(cfg)
+    settings.check_learner(cfg)
     return env_cfg, cfg, train.run_path(train.Options(**options), env_cfg, cfg)
 
 

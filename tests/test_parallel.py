@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support import ROOT, TINY, error_of
 
-import eipo
+import ppo
 import train
 from eipo import Config, Estimate, Rollout
 from runtime import metrics, parallel, run_folder
@@ -26,7 +26,7 @@ ONE_BATCH = Config(num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_esti
 def data_of_an_update(processes=1, process=0):
     """A learner, and what `ppo_update` takes: that process's share of 64 environments, not of its own making."""
     rng, widths = np.random.default_rng(0), (6, 3, 4)
-    learner = eipo.init_learner(jax.random.key(0), tuple((n, 0) for n in widths), 2, ONE_BATCH)
+    learner = ppo.init_learner(jax.random.key(0), tuple((n, 0) for n in widths), 2, ONE_BATCH)
     obs, privileged, action = (rng.normal(size=(10, 64, n)).astype(np.float32) for n in widths)
     advantage, likely = 3 + rng.normal(size=(10, 64)).astype(np.float32), rng.normal(-6, 0.1, (10, 64))
     target = rng.normal(size=(10, 64, 2)).astype(np.float32)
@@ -62,7 +62,7 @@ def process(out, *flags):
     status = train.main(list(flags))
     if status or "--resume" in flags:
         return status
-    update = arrays_of(*eipo.ppo_update(*data_of_an_update(jax.process_count(), jax.process_index())))
+    update = arrays_of(*ppo.ppo_update(*data_of_an_update(jax.process_count(), jax.process_index())))
     np.savez(f"{out}.{jax.process_index()}.update.npz", **update)
     return status
 
@@ -135,9 +135,9 @@ def test_two_processes_make_the_update_of_one(finished):
     Only the order of the sums differs: some 1e-7 of a gradient in float32. Adam divides a gradient by its own size, so
     that a weight moves by 3e-4 in each of the four updates; 1e-3 of that is allowed.
     """
-    whole = arrays_of(*eipo.ppo_update(*data_of_an_update()))
+    whole = arrays_of(*ppo.ppo_update(*data_of_an_update()))
     halves = [run_folder.read_npz(finished.with_name(f"{finished.name}.{i}.update.npz")) for i in range(2)]
-    alone = arrays_of(*eipo.ppo_update(*data_of_an_update(2, 0)))
+    alone = arrays_of(*ppo.ppo_update(*data_of_an_update(2, 0)))
     before = data_of_an_update()[0].params["critic"][0].even
     name = "[0].params['critic'][0].even"
     assert np.abs(whole[name] - before).max() > 1e-3 and np.abs(whole[name] - alone[name]).max() > 1e-4

@@ -15,6 +15,7 @@ import measure
 import rewards
 import tasks
 import train
+from runtime import limits, settings
 
 
 @pytest.mark.parametrize(
@@ -138,13 +139,13 @@ def test_every_number_of_the_world_has_limits():
     """A number without any would let a world be built that hangs, or fills the memory, or means nothing."""
     numbers = {field.name for field in fields(tasks.Config) if field.type not in (str, bool)}
     assert len(numbers) > 15
-    assert set(tasks.LIMITS) == numbers | {"num_envs", "threads", "num_envs * history"}
+    assert set(limits.LIMITS) == numbers | {"num_envs", "threads", "num_envs * history"}
 
 
 def test_a_physics_step_may_be_as_long_as_the_motors_stay_stable():
     """Joints of robots that settle move at less than 1 rad/s on average with 20 ms, and at 1000 and more with 40 ms."""
     speeds = []
-    for timestep in (tasks.LIMITS["timestep"][1], 0.04):
+    for timestep in (limits.LIMITS["timestep"][1], 0.04):
         env = make(16, physics_steps=1, timestep=0.02, task="rough", tiles=2)
         env.batch.expand("opt.timestep")[:] = timestep
         moving = []
@@ -176,10 +177,10 @@ def test_good_settings_of_the_world(fields):
 def test_settings_of_ppo_are_checked_as_ppo():
     """An odd number of environments, and as few as one sample per minibatch, are enough for one policy."""
     few = eipo.Config(algo="ppo", num_envs=3, num_steps=1, num_minibatches=3)
-    eipo.check(eipo.Config())
-    eipo.check(few)
+    settings.check_learner(eipo.Config())
+    settings.check_learner(few)
     with pytest.raises(ValueError, match="num_minibatches"):
-        eipo.check(replace(few, num_minibatches=4))
+        settings.check_learner(replace(few, num_minibatches=4))
 
 
 @pytest.mark.parametrize("script", ["train", "evaluate"])

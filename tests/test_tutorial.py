@@ -25,10 +25,10 @@ if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import eipo
 import evaluate
 import play
 import train
+from runtime import settings
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -227,7 +227,7 @@ def test_commands_parse():
         assert python == "python" and (ROOT / script).exists(), line
         if script == "train.py":
             _, env, learner = train.parse(argv)
-            eipo.check(train.settle(env, learner)[1])
+            settings.check_learner(train.settle(env, learner)[1])
         else:
             known = {"evaluate.py": evaluate.main, "play.py": play.main}
             allowed = flags_of(known[script]) if script in known else {"--write"}

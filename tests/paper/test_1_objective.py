@@ -12,6 +12,7 @@ from support import EIPO, LAMBDAS, dyadic, handmade, trees_equal
 
 import eipo
 from eipo import Config, Dual, Estimate, Rollout
+from runtime import settings
 
 PAPER = replace(EIPO, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
 gae = jax.jit(eipo.gae)
@@ -79,7 +80,7 @@ def test_eq04_gradient_in_alpha():
 def test_eq10_every_lambda_can_be_trained(algo, lambdas):
     """PPO takes all nine; EIPO starts from every positive one."""
     for lam in lambdas:
-        eipo.check(Config(algo=algo, lam=lam))
+        settings.check_learner(Config(algo=algo, lam=lam))
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----

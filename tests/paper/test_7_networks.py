@@ -14,6 +14,7 @@ import eipo
 import energy
 import go1
 import networks
+import ppo
 from eipo import Rollout
 
 KEY = jax.random.key(0)
@@ -176,7 +177,7 @@ def new_policy(is_mirrored=True):
     env, rng = networks.EvenOdd(make(8, noise=1.0), is_mirrored), np.random.default_rng(0)
     cfg = replace(EIPO, hidden=(16, 8), hidden_estimator=(6, 4))
     sizes = env.obs_size, env.privileged_size, env.action_size
-    shapes = jax.eval_shape(lambda key: eipo.init_learner(key, sizes, 2, cfg).params, KEY)  # nothing to compile
+    shapes = jax.eval_shape(lambda key: ppo.init_learner(key, sizes, 2, cfg).params, KEY)  # nothing to compile
     params = jax.tree.map(lambda x: np.float32(rng.normal(size=x.shape) / 8), shapes)
     params["actor"]["log_std"] = np.arange(len(params["actor"]["log_std"])) / np.float32(8)
     return env, params
@@ -229,7 +230,7 @@ def test_dense_is_the_same_policy(is_mirrored):
 )
 def test_ppo_clip_four_cases(ratio, advantage, expected):
     """eps = 1/4: the ratio counts up to 1.25 if the action was good, down to 0.75 if it was bad; never for free."""
-    assert eipo.clipped_surrogate(ratio, advantage, 0.25) == expected
+    assert ppo.clipped_surrogate(ratio, advantage, 0.25) == expected
 
 
 def test_ppo_loss():
@@ -241,7 +242,7 @@ def test_ppo_loss():
     then = -0.91893853 - np.log(1.5)  # log density of a normal at its mean, less log 1.5
     batch = dict(obs=1.0, privileged=0.5, action=0.0, target=3.0)
     batch = {name: jnp.full((4, 1), x) for name, x in batch.items()} | dict(log_prob=jnp.full(4, then))
-    loss, log = eipo.ppo_loss(handmade(), batch | dict(advantage=jnp.ones(4)), EIPO)
+    loss, log = ppo.ppo_loss(handmade(), batch | dict(advantage=jnp.ones(4)), EIPO)
     assert float(loss) == pytest.approx(3.0358106, rel=1e-6)
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
 
@@ -250,12 +251,12 @@ def advantages(seed):
     return dyadic(np.random.default_rng(seed), 8, 16)
 
 
-def ppo(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
+def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
     """One ppo_update of a new learner, always the same but for `changes` of target, advantage, obs or sample.
 
     returns params, log, params before
     """
-    learner = eipo.init_learner(KEY, ((2, 0), (1, 0), (1, 0)), 2, EIPO)
+    learner = ppo.init_learner(KEY, ((2, 0), (1, 0), (1, 0)), 2, EIPO)
     learner = learner._replace(lr=jnp.float32(cfg.lr if lr is None else lr))
     learner.params["actor"]["log_std"] += log_std
     rng = np.random.default_rng(2)
@@ -266,7 +267,7 @@ def ppo(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
     estimate = estimate._replace(sample=changes.get("sample", estimate.sample))
     tau = tau._replace(obs=changes.get("obs", obs))
     before = jax.tree.map(np.array, learner.params)
-    learner, log = eipo.ppo_update(learner, tau, estimate, changes.get("advantage", advantages(3)), key, cfg)
+    learner, log = ppo.ppo_update(learner, tau, estimate, changes.get("advantage", advantages(3)), key, cfg)
     return learner.params, log | dict(next_lr=learner.lr), before
 
 
@@ -276,7 +277,7 @@ def test_ppo_keeps_the_noise_in_its_range(log_std, std):
 
     It is put back after the step, not in the forward pass: there it would stop the gradient that leads back.
     """
-    assert float(jnp.exp(ppo(lr=0.0, log_std=log_std)[0]["actor"]["log_std"][0])) == pytest.approx(std, rel=0.03)
+    assert float(jnp.exp(one_update(lr=0.0, log_std=log_std)[0]["actor"]["log_std"][0])) == pytest.approx(std, rel=0.03)
 
 
 def test_ppo_normalises_the_advantage():
@@ -285,34 +286,34 @@ def test_ppo_normalises_the_advantage():
     A / 1024 as well, but for the 1e-8 beside its deviation. Without the division its surrogate would be nothing beside
     the entropy bonus of 1/100, whatever Adam and the clipping of gradients make of its scale.
     """
-    usual = ppo()[0]
-    assert trees_equal(usual, ppo(advantage=4 * advantages(3) + 1)[0])
-    assert not trees_equal(usual, ppo(advantage=-advantages(3))[0])
-    small = ppo(advantage=advantages(3) / 1024)[0]["actor"]["log_std"]
+    usual = one_update()[0]
+    assert trees_equal(usual, one_update(advantage=4 * advantages(3) + 1)[0])
+    assert not trees_equal(usual, one_update(advantage=-advantages(3))[0])
+    small = one_update(advantage=advantages(3) / 1024)[0]["actor"]["log_std"]
     assert float(small[0]) == pytest.approx(float(usual["actor"]["log_std"][0]), abs=1e-3)
 
 
 def test_ppo_shuffles_the_minibatches():
     """Another key draws other minibatches from the same data; the same key draws the same ones."""
-    assert trees_equal(ppo()[0], ppo()[0])
-    assert not trees_equal(ppo()[0], ppo(key=jax.random.key(1))[0])
+    assert trees_equal(one_update()[0], one_update()[0])
+    assert not trees_equal(one_update()[0], one_update(key=jax.random.key(1))[0])
 
 
 def test_ppo_trains_the_estimator_by_its_own_error_alone():
     """D19: other advantages train another actor; the estimator, and the critic, do not notice."""
-    one, other = (ppo(advantage=advantages(seed))[0] for seed in (3, 4))
+    one, other = (one_update(advantage=advantages(seed))[0] for seed in (3, 4))
     assert not trees_equal(one["actor"], other["actor"])
     assert trees_equal([one["estimator"], one["critic"]], [other["estimator"], other["critic"]])
 
 
 def test_ppo_entropy_bonus_widens_the_noise():
     """Equal advantages normalise to 0, so that the bonus alone moves log_std: up, from 0."""
-    assert ppo(advantage=np.ones((8, 16), np.float32))[0]["actor"]["log_std"] > 0
+    assert one_update(advantage=np.ones((8, 16), np.float32))[0]["actor"]["log_std"] > 0
 
 
 def test_ppo_clips_gradients_per_network():
     """Targets of a million want a huge step of the critic; the other two networks do not notice."""
-    usual, huge = ppo()[0], ppo(target=np.full((8, 16, 2), 1e6, np.float32))[0]
+    usual, huge = one_update()[0], one_update(target=np.full((8, 16, 2), 1e6, np.float32))[0]
     assert trees_equal([usual["actor"], usual["estimator"]], [huge["actor"], huge["estimator"]])
     assert not trees_equal(usual["critic"], huge["critic"])
 
@@ -323,7 +324,7 @@ def test_ppo_clips_the_norm_at_max_grad_norm():
     Adam's mean starts at 1/10 of that, its mean square at 1/1000, and its first direction is 1 up every slope.
     """
     gradient = dict(actor=jnp.array([3.0, 4.0]), critic=jnp.array([0.375, 0.5]), estimator=jnp.zeros(2))
-    step, state = eipo.optimizer(EIPO).update(gradient, eipo.optimizer(EIPO).init(gradient))
+    step, state = ppo.optimizer(EIPO).update(gradient, ppo.optimizer(EIPO).init(gradient))
     mean, square = (optax.tree_utils.tree_get(state, name) for name in ("mu", "nu"))
     assert mean["actor"].tolist() == pytest.approx([0.06, 0.08])
     assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
@@ -345,14 +346,14 @@ def test_ppo_clips_the_norm_at_max_grad_norm():
 )
 def test_lr_follows_the_kl_of_an_iteration(lr, kl, target_kl, then):
     """D20: in a range of [1e-5, 1e-3]."""
-    assert float(eipo.adapt_lr(jnp.float32(lr), kl, replace(EIPO, target_kl=target_kl))) == pytest.approx(then)
+    assert float(ppo.adapt_lr(jnp.float32(lr), kl, replace(EIPO, target_kl=target_kl))) == pytest.approx(then)
 
 
 def test_lr_is_the_learner_s_and_adapts_after_the_update():
     """lr = 0 goes nowhere. lr = 1e-5 moves the policy by hardly any KL: the next iteration has 1.5e-5."""
-    params, log, before = ppo(lr=0.0)
+    params, log, before = one_update(lr=0.0)
     assert trees_equal(params, before) and log["next_lr"] == 0
-    log = ppo(lr=1e-5, cfg=replace(EIPO, target_kl=1 / 64))[1]
+    log = one_update(lr=1e-5, cfg=replace(EIPO, target_kl=1 / 64))[1]
     assert (float(log["lr"]), float(log["next_lr"])) == pytest.approx((1e-5, 1.5e-5))
 
 
@@ -363,18 +364,18 @@ def test_ppo_does_not_look_at_what_is_dropped():
     ends = []
     for value in (0.0, 64.0, np.nan):
         obs[2, 3] = value
-        params, log, _ = ppo(obs=obs.copy(), sample=sample)
+        params, log, _ = one_update(obs=obs.copy(), sample=sample)
         assert (log["dropped"], log["skipped"]) == (1, 0)
         ends.append(params)
     assert trees_equal(ends[0], ends[1]) and trees_equal(ends[0], ends[2])
-    assert not trees_equal(ends[0], ppo()[0]) and ppo()[1]["dropped"] == 0
+    assert not trees_equal(ends[0], one_update()[0]) and one_update()[1]["dropped"] == 0
 
 
 def test_ppo_skips_a_minibatch_that_is_not_finite():
     """One nan among the samples is in one of the two minibatches of every epoch: of 4 x 2 steps, 4 are skipped."""
     target = np.zeros((8, 16, 2), np.float32)
     target[1, 2, 0] = np.nan
-    params, log, before = ppo(target=target)
+    params, log, before = one_update(target=target)
     assert log["skipped"] == 4
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(params))
     assert not trees_equal(params["critic"], before["critic"])
@@ -382,6 +383,6 @@ def test_ppo_skips_a_minibatch_that_is_not_finite():
 
 def test_ppo_keeps_the_parameters_when_nothing_is_finite():
     """All 4 x 2 steps are skipped: what is left is what was there, bit by bit."""
-    params, log, before = ppo(target=np.full((8, 16, 2), np.inf, np.float32))
+    params, log, before = one_update(target=np.full((8, 16, 2), np.inf, np.float32))
     assert log["skipped"] == 8 and trees_equal(params, before)
-    assert ppo()[1]["skipped"] == 0
+    assert one_update()[1]["skipped"] == 0
