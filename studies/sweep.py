@@ -10,6 +10,7 @@ from pathlib import Path
 
 import train
 from runtime import metrics, run_folder
+from runtime.flags import Options, parse, settle
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
@@ -83,9 +84,9 @@ def progress(argv):
 
     A run is also done if `evaluate.py ... --out results/TASK` has kept it there.
     """
-    options, given_env, given_learner = train.parse(argv)
-    env_cfg, cfg = train.settle(given_env, given_learner)
-    folder = train.run_path(train.Options(**options), env_cfg, cfg)
+    options, given_env, given_learner = parse(argv)
+    env_cfg, cfg = settle(given_env, given_learner)
+    folder = train.run_path(Options(**options), env_cfg, cfg)
     if run_folder.running(folder):
         return "running"
     kept = RESULTS / env_cfg.task / folder.name

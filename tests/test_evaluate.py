@@ -25,7 +25,7 @@ import measure
 import rewards
 import tasks
 import train
-from runtime import policy_file, run_folder, settings
+from runtime import flags, policy_file, run_folder, settings
 from studies import episodes
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
@@ -699,7 +699,7 @@ def test_ctrl_c_is_no_traceback(runs, monkeypatch):
 @pytest.fixture
 def sweep(monkeypatch, capsys):
     """Ask for the commands of a sweep; returns the lines."""
-    monkeypatch.setattr(train, "describe", functools.cache(train.describe))  # reads the source again for each line
+    monkeypatch.setattr(flags, "describe", functools.cache(flags.describe))  # reads the source again for each line
 
     def ask(*argv):
         run("--commands", *argv)
@@ -712,10 +712,10 @@ def settled(line):
     """tasks.Config, eipo.Config and run folder of a line, which has to be one that train.py accepts."""
     python, script, *argv = shlex.split(line)
     assert (python, script) == ("python", "train.py")
-    options, *given = train.parse(argv)
-    env_cfg, cfg = train.settle(*given)
+    options, *given = flags.parse(argv)
+    env_cfg, cfg = flags.settle(*given)
     settings.check_learner(cfg)
-    return env_cfg, cfg, train.run_path(train.Options(**options), env_cfg, cfg)
+    return env_cfg, cfg, train.run_path(flags.Options(**options), env_cfg, cfg)
 
 
 def kinds(lines):
@@ -822,8 +822,8 @@ def test_flags_that_the_sweep_sets_are_one_line(capsys, flag):
 def test_a_run_killed_before_its_first_checkpoint_can_be_started(sweep):
     """It has rows of metrics and nothing to resume; whatever its line is, train.py must accept it."""
     fake_run(sweep("fig2")[0], 30, checkpoint=False)
-    options, *given = train.parse(shlex.split(sweep("fig2")[0])[2:])
-    train.prepare(train.Options(**options), *given)
+    options, *given = flags.parse(shlex.split(sweep("fig2")[0])[2:])
+    train.prepare(flags.Options(**options), *given)
 
 
 def test_flags_pass_through(sweep):

@@ -16,6 +16,7 @@ import rewards
 import tasks
 import train
 from runtime import limits, settings
+from runtime.flags import parse, settle
 
 
 @pytest.mark.parametrize(
@@ -31,12 +32,12 @@ def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, it
 
     All else of the world is as on flat ground, and whatever is given wins over the paper.
     """
-    env_cfg, cfg = train.settle(dict(task=task), {})
+    env_cfg, cfg = settle(dict(task=task), {})
     same = dict(task=task, history=history, roughness=roughness, cells_per_m=cells_per_m)
     assert env_cfg == tasks.task_config(task) == tasks.Config(**same)
     assert (cfg.lam, cfg.iterations) == (lam, iterations)
     changed = dict(task=task, history=3, roughness=(0.0, 0.01), cells_per_m=2, noise=0.5)
-    env_cfg, cfg = train.settle(changed, dict(lam=0.5))
+    env_cfg, cfg = settle(changed, dict(lam=0.5))
     assert env_cfg == tasks.Config(**changed) and (cfg.lam, cfg.iterations) == (0.5, iterations)
 
 
@@ -51,7 +52,7 @@ def test_paper_settings_of_every_task():
 
 def test_none_switches_off_what_a_task_sets():
     """IV-A.4: the curriculum ends an episode at 800 W, unless told otherwise."""
-    limits = [train.settle(*train.parse(["--task", "curriculum", *flags])[1:])[0].max_power
+    limits = [settle(*parse(["--task", "curriculum", *flags])[1:])[0].max_power
               for flags in ([], ["--max-power", "none"], ["--max-power", "700"])]  # fmt: skip
     assert limits == [800.0, None, 700.0]
 
@@ -118,7 +119,7 @@ def test_flags_that_do_not_parse_are_one_line(capsys, flags):
 @pytest.mark.parametrize("flags", ["--hidden 64,64", "--friction 0.5,1", "--hidden 64, 64"])
 def test_commas_between_numbers_are_one_line_that_wants_spaces(capsys, flags):
     with pytest.raises(SystemExit, match="2"):
-        train.parse(flags.split())
+        parse(flags.split())
     (line,) = capsys.readouterr().err.splitlines()
     assert flags.split()[0] in line and "spaces, as in " + flags.split()[1].replace(",", " ") in line
 
@@ -127,7 +128,7 @@ def test_help_names_every_task_and_what_it_is(capsys, monkeypatch):
     """Also a fifth task, whose author has not said what it is."""
     monkeypatch.setitem(tasks.TASKS, "fifth", tasks.Task(rewards.flat, {}, {}))
     with pytest.raises(SystemExit, match="0"):
-        train.parse(["-h"])
+        parse(["-h"])
     usage, said = capsys.readouterr().out.split("\ntasks:\n")
     lines = [line.split(maxsplit=1) for line in said.split("\n\n")[0].splitlines()]
     assert lines == [[name, task.about] if task.about else [name] for name, task in tasks.TASKS.items()]

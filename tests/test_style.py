@@ -15,6 +15,7 @@ import pytest
 import eipo
 import tasks
 import train
+from runtime import flags
 
 ROOT = Path(train.__file__).parent
 FILES = [*ROOT.glob("*.py"), *ROOT.glob("runtime/*.py"), *ROOT.glob("studies/*.py")]
@@ -37,6 +38,7 @@ LAYERS = {
     "ppo": {"jax", "optax"},
     "eipo": {"numpy", "jax"},
     "runtime/settings": set(),
+    "runtime/flags": set(),
     "runtime/run_folder": {"numpy", "jax"},
     "runtime/policy_file": {"numpy", "jax"},
     "runtime/metrics": {"numpy", "matplotlib"},
@@ -92,10 +94,10 @@ def test_functions_are_short_and_documented(module):
     assert [n.name for n in [*public, tree] if not ast.get_docstring(n)] == []
 
 
-@pytest.mark.parametrize("config", train.CONFIGS, ids=lambda c: c.__module__)
+@pytest.mark.parametrize("config", flags.CONFIGS, ids=lambda c: c.__module__)
 def test_every_setting_says_where_it_comes_from_and_is_used(config):
     """A flag that nothing reads, or a number without a source, is how copies rot."""
-    comments = train.describe(config)
+    comments = flags.describe(config)
     code = "".join(source(module) for module in MODULES)
     for field in fields(config):
         assert re.match(r"\[(I|II|III|IV|V|lab code|ours|Eq\.)[-\w. ]*\] \S", comments[field.name]), field.name
@@ -185,9 +187,9 @@ def test_a_wheel_has_all_modules_and_the_robot(tmp_path):
 
 def test_tags_of_the_environment_and_the_learner_are_found():
     """The parser of the tags itself: it must see every field, or a test above would pass on nothing; no flag twice."""
-    for config in train.CONFIGS:
-        assert set(train.describe(config)) == {field.name for field in fields(config)}
-    assert {tasks.Config, eipo.Config, train.Options} == set(train.CONFIGS)
-    assert "discount" in train.describe(eipo.Config)["gamma"] and inspect.getsource(eipo.Config)
-    names = [field.name for config in train.CONFIGS for field in fields(config)]
+    for config in flags.CONFIGS:
+        assert set(flags.describe(config)) == {field.name for field in fields(config)}
+    assert {tasks.Config, eipo.Config, flags.Options} == set(flags.CONFIGS)
+    assert "discount" in flags.describe(eipo.Config)["gamma"] and inspect.getsource(eipo.Config)
+    names = [field.name for config in flags.CONFIGS for field in fields(config)]
     assert len(names) == len(set(names))

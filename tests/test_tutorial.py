@@ -27,8 +27,7 @@ if __name__ == "__main__":
 
 import evaluate
 import play
-import train
-from runtime import settings
+from runtime import flags, settings
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -226,8 +225,8 @@ def test_commands_parse():
         python, script, *argv = shlex.split(line, comments=True)
         assert python == "python" and (ROOT / script).exists(), line
         if script == "train.py":
-            _, env, learner = train.parse(argv)
-            settings.check_learner(train.settle(env, learner)[1])
+            _, env, learner = flags.parse(argv)
+            settings.check_learner(flags.settle(env, learner)[1])
         else:
             known = {"evaluate.py": evaluate.main, "play.py": play.main}
             allowed = flags_of(known[script]) if script in known else {"--write"}
