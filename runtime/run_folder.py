@@ -56,11 +56,14 @@ def commit():
 def replace_file(path, write):
     """Call write(file) on a temporary file, then rename it to path: readers find the old file or the whole new one."""
     temporary = path.with_name(path.name + ".tmp")
-    with open(temporary, "wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        with open(temporary, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:  # a disk that is full shall not also keep what is half written
+        temporary.unlink(missing_ok=True)
 
 
 def check_writable(path):

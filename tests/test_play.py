@@ -200,7 +200,7 @@ def test_a_gif_is_replaced_in_one_step(env, tmp_path, monkeypatch):
     path.write_bytes(b"before")
     with full_disk(10_000), pytest.raises(OSError):
         play.save_gif(path, env, itertools.repeat(log), 0.2, np.zeros(3))
-    assert path.read_bytes() == b"before"
+    assert contents(tmp_path) == {"a.gif": b"before"}
     play.save_gif(path, env, itertools.repeat(log), 0.2, np.zeros(3))
     with Image.open(path) as gif:
         assert (gif.format, gif.n_frames) == ("GIF", 4)
