@@ -111,11 +111,16 @@ def keep_runs(out, folders):
         for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
             if not (folder / name).exists():
                 continue
-            data = (folder / name).read_bytes()
-            if name == "metrics.csv":
-                rows = data.splitlines(keepends=True)
-                data = b"".join([*rows[:-1:10], *rows[-1:]])
+            data = thinned(folder) if name == "metrics.csv" else (folder / name).read_bytes()
             run_folder.replace_file(kept / name, lambda file, data=data: file.write(data))
+
+
+def thinned(folder):
+    """The metrics.csv of a run as bytes, with every tenth row and the last one, and with seven digits of each number."""
+    columns = metrics.read(folder)
+    rows = list(zip(*columns.values(), strict=True))
+    lines = [",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in [*rows[9:-1:10], *rows[-1:]]), ""]
+    return "\n".join(lines).encode()
 
 
 def last(folder):
