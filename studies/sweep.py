@@ -116,7 +116,7 @@ def keep_runs(out, folders):
 
 
 def thinned(folder):
-    """The metrics.csv of a run as bytes, with every tenth row and the last one, and with seven digits of each number."""
+    """The metrics.csv of a run, as bytes: every tenth row and the last one, with seven digits of each number."""
     columns = metrics.read(folder)
     rows = list(zip(*columns.values(), strict=True))
     lines = [",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in [*rows[9:-1:10], *rows[-1:]]), ""]
