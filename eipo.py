@@ -8,7 +8,7 @@ without pi_prime. What they call follows in the order of the lines, and `ppo.py`
     alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and starts at lam (D6)
     T, N            steps of a rollout and number of environments; `networks.py` defines the widths D, P, A and K
 
-An environment is anything that has `reset` and `step` as in `go1_env.py`: this file knows nothing of robots or files.
+An environment is anything with the methods and sizes of `networks.EvenOdd`: no robot or file is known here.
 The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 
@@ -101,12 +101,11 @@ class Estimate(NamedTuple):
 # ---- Algorithm 1 ----
 
 
-def eipo(env, env_prime, cfg, state=None, line_13=None):
+def eipo(env, env_prime, cfg, state=None):
     """Algorithm 1 as a generator, which yields the State after every iteration and a dict of metrics.
 
     env, env_prime: environments of pi and of pi_prime
     state:          the State to continue from, with env and env_prime as they were then; None starts anew
-    line_13:        function of (dual, gap, cfg) that replaces `step_alpha`, for experiments
     The tags are the paper's line numbers. Where the paper's line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
@@ -131,7 +130,7 @@ def eipo(env, env_prime, cfg, state=None, line_13=None):
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
         metrics = summary(iteration, est, dual, cfg) | dict(gap=gap) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
-        dual = (line_13 or step_alpha)(dual, gap, cfg)  # Alg.1 L13
+        dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
         yield sound(State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
     # Alg.1 L14  end for
 

@@ -173,6 +173,7 @@ FIGURES = {
     f.__name__: f
     for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds.pareto, seeds.seeds, gait.gait, joints.joints, robust.robust)
 }
+BATCHES = dict(fig6=1, robust=robust.BATCHES, gait=0, joints=0)  # of whole episodes for each run, where it is not 2
 
 
 def run_folders(paths):
@@ -201,7 +202,7 @@ def show_progress(batches):
         text = f"{done / (done + left):.0%} played, {minutes:.0f} min left" if left > 0 < done else ""
         print(f"{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
 
-    measure.watchers[:] = [watch] if sys.stderr.isatty() else []
+    measure.watchers[:] = [watch] if batches and sys.stderr.isatty() else []
     try:
         yield
     finally:
@@ -227,7 +228,9 @@ def save(out, what, rows, figure):
 
 
 def draw(what, folders, args):
-    """Make a figure. Whether it can be written is tried before anything is played."""
+    """Make a figure. Whether it and the runs can be written is tried before anything is played."""
+    if args.out and len({folder.name for folder in folders}) < len(folders):
+        raise ValueError(f"two run folders have the same name, under which {args.out} would keep both: rename one")
     out = args.out or Path()
     out.mkdir(parents=True, exist_ok=True)
     for suffix in ("csv", "png"):
@@ -259,7 +262,11 @@ def main(argv):
     parser.add_argument("--out", type=Path, help="folder for PNG, CSV and what to keep of the runs (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
-    parser.add_argument("--roughness", type=float, help="m, of the ground (default: as in training; 0.15 for rough)")
+    parser.add_argument(
+        "--roughness",
+        type=float,
+        help="m, of the ground (default: as in training; figures of rough: 0.15)",
+    )
     parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
     try:
         if argv[:1] == ["--commands"]:
@@ -276,7 +283,7 @@ def main(argv):
             raise ValueError(f"{what} of which runs? Give run folders")
         folders, tasks = run_folders(paths), {task for task, _ in sweep.SWEEPS.get(what, ())}
         played = [x for x in folders if not tasks or run_folder.load_config(x)[0].task in tasks]
-        with show_progress(len(played) * (1 if what == "fig6" else 2)):
+        with show_progress(len(played) * BATCHES.get(what, 2)):
             draw(what, folders, args) if what else print_table(folders, args)
     except KeyboardInterrupt:
         return 130

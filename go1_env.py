@@ -91,10 +91,10 @@ class Go1Env:
         self.rng = np.random.default_rng(0)
 
     def reset(self, seed, command=None):
-        """Start a new episode for every robot; returns obs, info as `step` does.
+        """Start a new episode for every robot; returns obs as `step` does, and of its info only `privileged`.
 
         seed: int or numpy SeedSequence
-        command: (N, 3) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
+        command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
         """
         self.state.given[:] = np.nan if command is None else command
         self.rng = np.random.default_rng(seed)

@@ -85,10 +85,12 @@ def make_scene(env):
 
 def show(env, model, data):
     """Put the drawn robot where the simulated one is, on the middle tile; the same torques make the same forces."""
-    model.body_mass[:], model.geom_friction[:] = env.state.mass[0], env.state.friction[0]
+    state = env.state
+    model.body_mass[:], model.body_ipos[:], model.geom_friction[:] = state.mass[0], state.com[0], state.friction[0]
+    model.opt.gravity[:] = state.gravity[0]
     data.qpos[:], data.qvel[:], data.ctrl[:] = env.qpos[0], env.qvel[0], env.ctrl[0]
     if env.ground is not None:
-        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(state.tile[0])
     mujoco.mj_forward(model, data)
 
 
@@ -189,7 +191,7 @@ def main(argv):
     try:
         env_cfg = policy_file.load(Path(args.run) / "policy.npz")[1]
         env = make_env(env_cfg, args.roughness, args.model and adopt.read_robot(args.model))
-        command = np.array(args.command or ((1, 0, 0) if env.task.curriculum else env.task.command_high), float)
+        command = np.array(args.command, float) if args.command else tasks.example(env_cfg.task)
         if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600 or not 0.1 <= args.slow <= 100:
             raise ValueError("--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100")
         if warning := tasks.untrained(env_cfg.task, command):

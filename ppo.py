@@ -54,7 +54,9 @@ def optimizer(cfg):
 
 
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
-    """All epochs and minibatches of one iteration; returns the new Learner and the means of what `ppo_loss` logs.
+    """All epochs and minibatches of one iteration; returns the new Learner and the log.
+
+    log: the means of what `ppo_loss` logs; lr; how many gradients were skipped since the start; samples dropped now
 
     advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
     """

@@ -1,6 +1,6 @@
 """The four tasks of Section IV-A, and every setting of the simulated world.
 
-`task_config` makes the Config of the world with these values, and `train.py` makes that of the learner:
+`task_config` makes the Config of the world with these values, and `runtime/flags.py` that of the learner:
 
 |                   | flat              | rough      | velocity     | curriculum                  | source            |
 |-------------------|-------------------|------------|--------------|-----------------------------|-------------------|
@@ -107,6 +107,16 @@ def task_config(task="flat", **changes):
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
     return Config(**dict(task=task) | TASKS[task].world | changes)
+
+
+def asks_speed(task):
+    """Whether the commands of a task have a v_x."""
+    return TASKS[task].curriculum or TASKS[task].command_high[0] > 0
+
+
+def example(task):
+    """A command (3,) [m/s, m/s, rad/s] to show a task with: its greatest one, or 1 m/s ahead on `curriculum`."""
+    return np.array(FORWARD if TASKS[task].curriculum else TASKS[task].command_high)
 
 
 def untrained(task, command):

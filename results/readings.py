@@ -70,7 +70,7 @@ def exchange(env, env_prime, cfg, state=None):
         metrics = eipo.summary(iteration, est, dual, cfg) | dict(gap=gap, borrowed=weight.mean()) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
         dual = eipo.step_alpha(dual, gap, cfg)
-        yield eipo.State(iteration, pi, pi_prime, dual, at, at_prime), metrics
+        yield eipo.sound(eipo.State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
 
 
 def main(reading, argv):

@@ -15,7 +15,7 @@ from runtime.settings import tuples
 class Options:
     """How to run. None of these fields changes what is learned."""
 
-    out: str | None = None  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>-seed<seed>
+    out: str | None = None  # [ours] run folder; by default runs/<task>-<algo>-lam<lam>[-<variant>]-seed<seed>
     resume: bool = False  # [ours] continue the run in the folder; only --iterations can be changed, and only raised
     threads: int | None = None  # [ours] threads that step the physics; by default one for every core
     checkpoint_every: int = 50  # [ours] iterations between two checkpoints

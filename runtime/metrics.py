@@ -74,8 +74,9 @@ def report(row, first, iterations):
     iteration, timed = row["iteration"], row["iteration"] - first["iteration"]
     seconds = (iterations - iteration) * (row["time_s"] - first["time_s"]) / max(1, timed)
     left = f"{seconds / 60:.0f} min left  " if timed else ""
+    task = row.get("task_reward", row["reward"])  # a shaped reward is not the task's
     line = (
-        f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {row['reward']:.2f}  "
+        f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {task:.2f}  "
         f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
         + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
         + "".join(f"  {name} {row[name]:.0f}" for name in FAULTS if row.get(name))
@@ -101,6 +102,7 @@ def draw_curves(folder):
     from matplotlib.figure import Figure  # here, because it is slow to import
 
     columns = read(folder)
+    columns |= {name.replace("task_reward", "reward"): x for name, x in columns.items() if "task_reward" in name}
     panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
                   gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
     figure = Figure(figsize=(12, 6), layout="constrained")

@@ -48,7 +48,7 @@ def trace(params, env_cfg):
     """
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
     env, rows = go1_env.Go1Env(1, world, 1), []
-    obs, _ = env.reset(0, (1.0, 0.0, 0.0) if env.task.curriculum else env.task.command_high)
+    obs, _ = env.reset(0, tasks.example(env_cfg.task))
     for _ in range(STEPS):
         seen = dict(time=env.period * env.state.age[0], gravity=env.felt_gravity()[0], command=env.state.command[0],
                     q=env.qpos[0, 7:], qd=env.qvel[0, 6:],

@@ -28,7 +28,8 @@ def of_run(folder, commands, each, clip=None, roughness=None, nominal=False, rob
         loaded = measure.load(folder, each * len(commands), clip, roughness, nominal, robot=robot)
         return measure.run_episodes(*loaded, np.repeat(commands, each, 0))
     world = measure.evaluated(run_folder.load_config(folder)[0], clip, roughness, nominal)
-    asked = np.array([(world.start_spread, *world.roughness, world.clip == "torque", *row) for row in commands])
+    asked = [(world.start_spread, *world.roughness, world.clip == "torque", *row) for row in commands]
+    asked = np.array([[float(f"{x:.5g}") for x in row] for row in asked])  # as the file has them
     table = unpack(folder / run_folder.EPISODES)
     mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
     if any(rows.sum() != each for rows in mine):

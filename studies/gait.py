@@ -26,6 +26,7 @@ from scipy import signal
 
 import energy
 import go1
+import go1_env
 import measure
 import tasks
 import terrain
@@ -170,8 +171,7 @@ def played(folders, args):
         raise ValueError(f"--command is {args.command}: it takes finite numbers")
     for folder in map(Path, folders):
         task = run_folder.load_config(folder)[0].task
-        asks = tasks.TASKS[task].curriculum or tasks.TASKS[task].command_high[0]
-        speeds = args.command or (COMMANDS if asks else (0.0,))
+        speeds = args.command or (COMMANDS if tasks.asks_speed(task) else (0.0,))
         robots = max(1, args.episodes // len(speeds))
         policy, env = measure.load(folder, robots, args.clip, args.roughness, robot=args.robot)
         for v_x in speeds:
@@ -206,7 +206,7 @@ def gait(folders, args):
     """Footfalls by command: gait, duty factors, phases, stride frequency, power by leg. One robot of each is drawn."""
     rows, drawn = [], []
     for folder, v_x, env, seen in played(folders, args):
-        row, i = gait_row(seen, 9.81 * env.state.mass.sum(1), env.env_cfg)
+        row, i = gait_row(seen, -go1_env.GRAVITY[2] * env.state.mass.sum(1), env.env_cfg)
         rows.append(dict(run=folder.name, v_x_asked=v_x, episodes=env.num_envs, fell=1 - seen.upright.mean()) | row)
         drawn.append((one_robot(seen, i), env.env_cfg))
     figure = Figure(figsize=(4 * len(rows) + 0.5, 7), layout="constrained")

@@ -23,6 +23,7 @@ PARAMETERS = dict(  # those that are fields of tasks.Config, and then those of t
     damping=(0, 0.1, 0.2, 0.5, 1, 2),  # N m s/rad of every joint, beside that of the PD controller
     armature=(0.5, 1, 2, 3, 5),  # factor on the inertia of the rotors
 )
+BATCHES = sum(map(len, PARAMETERS.values()))  # of episodes that are played for each run
 UNITS = dict(payload="kg", friction="-", motor_strength="-", latency="steps of 5 ms", damping="N m s/rad", armature="-")
 FORWARD = np.array([(x, 0.0, 0.0) for x in (0.0, 0.25, 0.5, 0.75, 1.0)])  # commands of flat and rough
 
@@ -55,8 +56,7 @@ def robust(folders, args):
     rows = []
     for folder in map(Path, folders):
         env_cfg = run_folder.load_config(folder)[0]
-        asks = tasks.TASKS[env_cfg.task].curriculum or tasks.TASKS[env_cfg.task].command_high[0]
-        commands = FORWARD if asks else FORWARD[:1]
+        commands = FORWARD if tasks.asks_speed(env_cfg.task) else FORWARD[:1]
         each = max(1, args.episodes // len(commands))
         for parameter, values in PARAMETERS.items():
             low, high = trained(env_cfg, parameter)

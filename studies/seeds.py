@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import measure
+import tasks
 from runtime import metrics, run_folder
 from studies import episodes, sweep
 
@@ -15,10 +16,10 @@ LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a r
 def overview(folder, args):
     """One run as a row of means over episodes with random starts or, in columns that say so, with nominal ones.
 
-    Commands are those of Figs. 2 to 4, also on the task `curriculum`. On `velocity` there are none.
+    Commands are those of Figs. 2 to 4, also on the task `curriculum`. On a task like `velocity` there are none.
     """
     env_cfg, cfg = run_folder.load_config(folder)
-    commands = np.zeros((1, 3)) if env_cfg.task == "velocity" else measure.FORWARD
+    commands = measure.FORWARD if tasks.asks_speed(env_cfg.task) else np.zeros((1, 3))
     each = max(1, args.episodes // len(commands))
     e, nominal = episodes.both_starts(folder, env_cfg.task, commands, each, args)
     row = dict(run=folder.name, seed=cfg.seed, performance=e.performance.mean(), fell=e.fell.mean())

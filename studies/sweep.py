@@ -1,11 +1,13 @@
-"""Which runs the figures and Table I need: `evaluate.py --commands table1` prints those that are still to be trained.
+"""Which runs the figures and Table I need, and what is kept of a run that has been evaluated.
 
-A run's kind is EIPO or PPO(lambda), with its other cost or reward.
+`evaluate.py --commands table1` prints the runs that are still to be trained. A run's kind is EIPO or PPO(lambda), with
+its other cost or reward.
 """
 
 import shlex
 from contextlib import suppress
 from dataclasses import asdict
+from itertools import compress
 from pathlib import Path
 
 import train
@@ -110,6 +112,7 @@ def keep_runs(out, folders):
         kept.mkdir(exist_ok=True)
         for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
             if not (folder / name).exists():
+                (kept / name).unlink(missing_ok=True)  # it would be that of another policy
                 continue
             data = thinned(folder) if name == "metrics.csv" else (folder / name).read_bytes()
             run_folder.replace_file(kept / name, lambda file, data=data: file.write(data))
@@ -118,11 +121,12 @@ def keep_runs(out, folders):
 def thinned(folder):
     """The metrics.csv of a run, as bytes: every tenth row and the last one, with seven digits of each number."""
     columns = metrics.read(folder)
-    rows = list(zip(*columns.values(), strict=True))
-    lines = [",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in [*rows[9:-1:10], *rows[-1:]]), ""]
-    return "\n".join(lines).encode()
+    iterations = columns.get("iteration", [])
+    kept = [i % 10 == 0 or i == iterations[-1] for i in iterations]
+    rows = compress(zip(*columns.values(), strict=True), kept)
+    return "\n".join([",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in rows), ""]).encode()
 
 
 def last(folder):
     """The last iteration in a run's metrics.csv."""
-    return metrics.read(folder).get("iteration", [0])[-1]
+    return metrics.read(folder).get("iteration", [0])[-1] if (folder / "metrics.csv").exists() else 0

@@ -27,6 +27,7 @@ import tasks
 import train
 from runtime import flags, policy_file, run_folder, settings
 from studies import episodes
+from studies.sweep import keep_runs
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 ASKED = ["0", "0.1", "0.2", "0.3", "0.4", "0.5", "0.6", "0.7", "0.8", "0.9", "1"]
@@ -657,6 +658,33 @@ def test_only_policies_that_there_are_are_kept(runs, scripted):
     (Path("flat") / "policy.npz").rename(Path("flat") / run_folder.EPISODES)
     run("fig2", "flat", "flat_1", "--out", "out")
     assert [str(path) for path in Path("out").rglob("*.npz")] == ["out/flat_1/policy.npz"]
+
+
+def test_runs_of_one_name_are_not_kept_over_each_other(runs, scripted, tmp_path, capsys):
+    """results/flat/seed0 and results/velocity/seed0 have one name. It is said before anything is played."""
+    folders = [shutil.copytree(runs[name], tmp_path / name / "seed0") for name in ("flat", "flat_1")]
+    assert "same name" in error_of(capsys, evaluate.main, "fig2", *folders, "--out", "out")
+    assert scripted == [] and not Path("out").exists()
+
+
+def test_what_is_kept_of_a_run_is_of_one_policy(tmp_path, monkeypatch):
+    """Its episodes do not outlive the policy they are of, and what was thinned is not thinned again."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path("runs/run")
+    folder.mkdir(parents=True)
+    (folder / "metrics.csv").write_text("iteration\n" + "".join(f"{i}\n" for i in range(1, 36)))
+    for name in ("policy.npz", run_folder.EPISODES):
+        (folder / name).write_bytes(b"first")
+    kept = Path("out/run")
+    kept.parent.mkdir()
+    keep_runs(kept.parent, [folder])
+    (folder / run_folder.EPISODES).unlink()
+    (folder / "policy.npz").write_bytes(b"second")
+    keep_runs(kept.parent, [folder])
+    assert contents(kept) == {"policy.npz": b"second", "metrics.csv": b"iteration\n10\n20\n30\n35\n"}
+    Path("again").mkdir()
+    keep_runs(Path("again"), [kept])
+    assert contents(Path("again/run")) == contents(kept)
 
 
 # ---- progress ----

@@ -394,6 +394,12 @@ def test_the_time_left_leaves_compilation_out(capsys):
     assert "left" not in capsys.readouterr().out  # what the first one took says nothing
 
 
+def test_the_line_has_the_reward_of_the_task_where_another_is_learned(capsys):
+    row = dict(iteration=100, time_s=0.0, reward=7, task_reward=1.25, v_x=0, power=0, alpha=0, steps_per_s=1)
+    metrics.report(row, row, 100)
+    assert "  task 1.25  " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "flags, says",
     [

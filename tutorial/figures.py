@@ -121,10 +121,10 @@ def skeleton(pose):
 # ---- pictures ----
 
 
-def panels(n, height=2.9, rows=1, **kwargs):
+def panels(n, height=2.9, rows=1):
     """A figure with n panels in each of some rows."""
     figure = Figure(figsize=(8, height), layout="constrained")
-    axes = figure.subplots(rows, n, squeeze=False, **kwargs).ravel()
+    axes = figure.subplots(rows, n, squeeze=False).ravel()
     for a in axes:
         a.grid(alpha=0.3)
         a.spines[["top", "right"]].set_visible(False)
@@ -263,13 +263,13 @@ def commands(c):
     return figure
 
 
-def stick(axes, c, prefix, shift=0.0, along="x", legs=go1.LEGS, colours=LEGS):
-    """Draw a skeleton from the side, or with along="y" from behind, far legs first and thinner."""
-    hips = np.array([[c[f"{prefix}{leg}_{axis}"][0] for axis in (along, "z")] for leg in go1.LEGS])
+def stick(axes, c, prefix, shift=0.0):
+    """Draw a skeleton from the side, far legs first and thinner."""
+    hips = np.array([[c[f"{prefix}{leg}_{axis}"][0] for axis in "xz"] for leg in go1.LEGS])
     axes.plot(*(hips[[0, 2]] + [shift, 0]).T, color="black", linewidth=9, solid_capstyle="round", zorder=2)
-    for leg, colour in zip(go1.LEGS, colours, strict=True):
+    for leg, colour in zip(go1.LEGS, LEGS, strict=True):
         near = leg in ("FR", "RR")
-        x, z = c[f"{prefix}{leg}_{along}"][1:] + shift, c[f"{prefix}{leg}_z"][1:]
+        x, z = c[f"{prefix}{leg}_x"][1:] + shift, c[f"{prefix}{leg}_z"][1:]
         axes.plot(x, z, "o-", color=colour, linewidth=3 if near else 2, markersize=4, zorder=3 if near else 1)
 
 

@@ -265,7 +265,7 @@ def test_algorithm1_at_alpha_zero_pi_knows_the_cost_alone():
     assert not trees_equal(ends[0], state.pi.params["actor"])
 
 
-def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
+def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort, monkeypatch):
     """pi earns 1 a step, pi_prime 3: the gap is far below 0. What line 13 returns is what the next line 9 uses."""
     gaps = []
 
@@ -273,12 +273,13 @@ def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort):
         gaps.append(gap)
         return Dual(64.0, 7.0)
 
-    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x), line_13=jump)
+    monkeypatch.setattr(eipo, "step_alpha", jump)
+    states = run(Probe(one), Probe(lambda x, t, a: 3 + 0 * x))
     assert gaps == [metrics["gap"] for _, metrics in states[1:]]
     assert gaps[0] < -0.5
     assert [state.dual for state, _ in states] == [Dual(0.25, 0), Dual(64, 7), Dual(64, 7)]
     assert [metrics["alpha"] for _, metrics in states[1:]] == [0.25, 64]
-    jumped = run(Probe(near_half, effort), Probe(near_half, effort), line_13=jump)
+    jumped = run(Probe(near_half, effort), Probe(near_half, effort))
     assert trees_equal(jumped[1][0].pi, with_effort[0][1][0].pi)
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
 
@@ -360,14 +361,13 @@ def test_algorithm1_goes_on_when_something_was_learned():
 
 
 @pytest.mark.parametrize("dual", [Dual(np.nan, 0.0), Dual(200.0, np.nan), Dual(np.inf, 0.0), Dual(200.0, -np.inf)])
-def test_algorithm1_does_not_go_on_without_alpha(dual):
+def test_algorithm1_does_not_go_on_without_alpha(dual, monkeypatch):
     """nan > 0 is false, so that line 13 would put alpha to 0 for good. A start may be damaged, or a line 13 wrong."""
     env, env_prime = Probe(one), Probe(one)
     start = eipo.init_state(env, env_prime, EIPO)
-    for steps in (
-        eipo.eipo(env, env_prime, EIPO, start._replace(dual=dual)),
-        eipo.eipo(env, env_prime, EIPO, start, line_13=lambda *_: dual),
-    ):
+    monkeypatch.setattr(eipo, "step_alpha", lambda *_: dual)
+    for damaged in (start._replace(dual=dual), start):
+        steps = eipo.eipo(env, env_prime, EIPO, damaged)
         with pytest.raises(ValueError, match=r"^alpha and its momentum are .* after iteration [01]$"):
             next(steps)
 
