@@ -415,9 +415,9 @@ def paper(c):
 
 
 def readings(c):
-    """Speed and noise over environment steps of the runs that tried a reading; keys are run:column."""
+    """Speed and power over environment steps of runs of one task; keys are run:column."""
     figure, (left, right) = panels(2, 3.1)
-    for axes, name, label in ((left, "v_x", "v_x of the batch [m/s]"), (right, "std", "exploration noise, std [-]")):
+    for axes, name, label in ((left, "v_x", "v_x of the batch [m/s]"), (right, "power", "power [W]")):
         lines(axes, c, name)
         axes.set_ylabel(label)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9)

@@ -225,11 +225,13 @@ def test_algorithm1_ends_after_its_iterations():
 
 
 def test_algorithm1_eipo_starts_as_ppo(with_effort):
-    """D6: alpha_0 = 1 / lam, so that EIPO's first update of pi is PPO's at that lam, bit by bit; the second is not."""
+    """D6: alpha_0 = 1 / lam, so EIPO's first update of pi is PPO's at that lam, bit by bit; all are if alpha is held."""
     states, _, _ = with_effort
     ppo = run(Probe(near_half, effort), None)
     assert trees_equal(ppo[1][0].pi, states[1][0].pi)
     assert not trees_equal(ppo[2][0].pi, states[2][0].pi)
+    held = run(Probe(near_half, effort), Probe(near_half, effort), replace(EIPO, lr_alpha=0.0))
+    assert trees_equal(ppo[2][0].pi, held[2][0].pi)
 
 
 @pytest.mark.parametrize(
