@@ -225,7 +225,7 @@ def test_algorithm1_ends_after_its_iterations():
 
 
 def test_algorithm1_eipo_starts_as_ppo(with_effort):
-    """D6: alpha_0 = 1 / lam, so EIPO's first update of pi is PPO's at that lam, bit by bit; all are if alpha is held."""
+    """D6: alpha_0 = 1 / lam, so the first update of pi is PPO's at that lam, bit by bit. All are, if alpha is held."""
     states, _, _ = with_effort
     ppo = run(Probe(near_half, effort), None)
     assert trees_equal(ppo[1][0].pi, states[1][0].pi)
