@@ -8,7 +8,7 @@ without pi_prime. What they call follows in the order of the lines, and `ppo.py`
     alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and starts at lam (D6)
     T, N            steps of a rollout and number of environments; `networks.py` defines the widths D, P, A and K
 
-An environment is anything with the methods and sizes of `networks.EvenOdd`: no robot or file is known here.
+An environment is anything with the methods and sizes of `runtime.mirror.EvenOdd`: no robot or file is known here.
 The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 

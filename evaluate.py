@@ -29,7 +29,7 @@ if __name__ == "__main__":
 
 import measure
 from runtime import run_folder
-from studies import adopt, episodes, gait, joints, robust, seeds, sweep
+from studies import adopt, episodes, gait, joints, robust, seeds, statistics, sweep
 
 TABLE1 = dict(zip(sweep.KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
                           (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
@@ -54,8 +54,8 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
             row |= dict(fell=np.mean([e.fell[mine] for e in played]))
             row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
             for column in columns:
-                row |= measure.summarise(column, [getattr(e, column)[mine] for e in played], statistic)
-                row[f"{column}_nominal"] = measure.finite_mean([getattr(e, column)[mine] for e in nominal])
+                row |= statistics.summarise(column, [getattr(e, column)[mine] for e in played], statistic)
+                row[f"{column}_nominal"] = statistics.finite_mean([getattr(e, column)[mine] for e in nominal])
             rows.append(row)
     return rows
 
@@ -140,7 +140,7 @@ def fig6(folders, args):
             series.append([stride.mean(0) for stride in np.array_split(v_x, strides)])
         time = [env.period * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, strides)]
         rows += [dict(task="velocity", run=name, time=t, seeds=len(runs), episodes=args.episodes)
-                 | measure.summarise("v_x", at) for t, *at in zip(time, *series, strict=True)]  # fmt: skip
+                 | statistics.summarise("v_x", at) for t, *at in zip(time, *series, strict=True)]  # fmt: skip
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     draw_lines(axes := figure.subplots(), rows, "time", "v_x")
     for peak in HARDWARE:
@@ -152,7 +152,7 @@ def fig6(folders, args):
 def table1(folders, args):
     """Peak velocity of every lambda as an interquartile mean, both intervals, beside what the paper prints. Table I."""
     columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
-    rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, measure.iqm)  # D26
+    rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, statistics.iqm)  # D26
     for row in rows:
         printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
         row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)

@@ -21,8 +21,6 @@ Joints are FR, FL, RR, RL x hip, thigh, calf. Noise is uniform. Scales and noise
 between the tasks of Section IV-A is in `tasks.py`. This file knows nothing of learning.
 """
 
-import json
-import os
 from types import SimpleNamespace
 
 import mujoco
@@ -38,7 +36,7 @@ import rewards
 import shaped
 import tasks
 import terrain
-from runtime.limits import check_world
+from runtime.limits import check_world, cores
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
@@ -48,11 +46,6 @@ FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12,
 # FRAME_MIRROR @ frame is that of the mirrored robot, with the clock half a period later, as in a trot (D28)
 FRAME_MIRROR = block_diag(np.diag([1, -1, 1, 1, -1, -1]), go1.MIRROR, go1.MIRROR, go1.MIRROR, -np.eye(2))
 FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
-
-
-def cores():
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
 class Go1Env:
@@ -145,18 +138,6 @@ class Go1Env:
             self._reset(ended)
             linear = self.body_velocity()
         return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
-
-    def save(self):
-        """Everything that the next step depends on, as a dict of arrays: what a checkpoint stores."""
-        rng = np.array(json.dumps(self.rng.bit_generator.state))
-        return {name: x.copy() for name, x in vars(self.state).items()} | dict(rng=rng)
-
-    def load(self, saved):
-        """Continue from what `save` returned, with the same bits as if never stopped."""
-        for name, x in vars(self.state).items():
-            x[:] = saved[name]
-        self.batch.set_const()  # what MuJoCo derives from the masses
-        self.rng.bit_generator.state = json.loads(str(saved["rng"]))
 
     def _blank_state(self):
         """What the next step depends on, beside the random generator: arrays that are only changed in place."""

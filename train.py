@@ -23,10 +23,8 @@ import jax
 
 import eipo
 import go1_env
-import networks
-from runtime import metrics, parallel, policy_file, run_folder
+from runtime import limits, metrics, mirror, parallel, policy_file, run_folder
 from runtime.flags import CONFIGS, Options, parse, settle
-from runtime.limits import check_world
 from runtime.settings import check_learner, tuples
 
 
@@ -62,7 +60,7 @@ def prepare(options, given_env, given_learner):
             raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
     check_learner(cfg, max(1, options.processes or 1))
-    check_world(cfg.num_envs, env_cfg, options.threads)
+    limits.check_world(cfg.num_envs, env_cfg, options.threads)
     return folder, env_cfg, cfg
 
 
@@ -85,7 +83,7 @@ def repeat_arithmetic(threads):
     The last digit of a matrix product depends on the number of JAX's threads, whatever the number of cores.
     """
     jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
-    name, cores = run_folder.JAX_THREADS, str(go1_env.cores())
+    name, cores = run_folder.JAX_THREADS, str(limits.cores())
     now = os.environ.setdefault(name, threads or cores)
     if threads and now != threads:
         say(f"{name} is {now} but was {threads} when this run began: last digits will differ", sys.stderr)
@@ -130,7 +128,7 @@ def train(folder, env_cfg, cfg, options, command, stop):
     repeat_arithmetic(threads)
     env_cfg, cfg = agree(options, env_cfg, cfg)
     envs = make_envs(env_cfg, cfg, options.threads)
-    env, env_prime = (*(networks.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
+    env, env_prime = (*(mirror.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
     state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
     if options.resume:
         state = run_folder.load_checkpoint(checkpoint, state, envs)

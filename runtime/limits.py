@@ -1,4 +1,6 @@
-"""Between which values the settings of the world (`tasks.Config`) may lie, each with its reason."""
+"""Between which values the settings of the world (`tasks.Config`) may lie, each with its reason; and the cores."""
+
+import os
 
 import tasks
 import terrain
@@ -44,3 +46,8 @@ def check_world(num_envs, env_cfg, threads):
         ends = x if isinstance(x, tuple) else (x, x)
         if x is not None and not (len(ends) == 2 and low <= ends[0] <= ends[1] <= high):  # nan as well
             raise ValueError(f"{name} is {x}: it must be {what} {low:g} to {high:g}{why}")
+
+
+def cores():
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

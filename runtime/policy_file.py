@@ -65,7 +65,7 @@ def trace(params, env_cfg):
 def save(path, params, env_cfg):
     """Write policy.npz: all that it takes to run the policy without JAX and this project, as README shows.
 
-    params: of plain MLPs, as `networks.EvenOdd.dense` returns them. The file has these arrays:
+    params: of plain MLPs, as `mirror.EvenOdd.dense` returns them. The file has these arrays:
 
     estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
     actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between

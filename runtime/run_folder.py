@@ -31,7 +31,7 @@ import numpy as np
 
 import eipo
 import tasks
-from runtime import parallel
+from runtime import parallel, snapshot
 from runtime.limits import check_world
 from runtime.settings import check_learner, to_config, tuples
 
@@ -147,7 +147,7 @@ def checkpoint_arrays(state, envs):
     """All that the next iteration depends on: the leaves of the State, and what each of envs saves, by name."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
-    return arrays | {f"env{i}.{name}": x for i, env in enumerate(envs) for name, x in env.save().items()}
+    return arrays | {f"env{i}.{name}": x for i, env in enumerate(envs) for name, x in snapshot.save(env).items()}
 
 
 def save_checkpoint(path, state, envs, cfg):
@@ -210,7 +210,8 @@ def load_checkpoint(path, template, envs):
                 raise ValueError(f"{name} does not hold finite numbers")
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
-            env.load({name.removeprefix(f"env{i}."): x for name, x in arrays.items() if name.startswith(f"env{i}.")})
+            prefix = f"env{i}."
+            snapshot.load(env, {name.removeprefix(prefix): x for name, x in arrays.items() if name.startswith(prefix)})
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a checkpoint of this run: {error}") from None
     return state

@@ -31,6 +31,7 @@ import measure
 import tasks
 import terrain
 from runtime import run_folder
+from studies import statistics
 
 SETTLE, WINDOW = 200, 200  # control steps, 4 s each: before anything is recorded, and recorded
 SHOWN = 2.0  # s, of which the feet are drawn
@@ -157,7 +158,7 @@ def gait_row(seen, weight, env_cfg):
     row |= {name: seen.body[:, up, i] for i, name in enumerate(("height", "pitch", "roll"))}
     for name, x in dict(stride_hz=hz, v_x=v_x, duty=contact.mean((0, 2))).items():
         row[f"{name}_sd"] = float(np.std(x)) if len(x) else np.nan  # over robots
-    row = {name: x if isinstance(x, str | float) else measure.finite_mean(x) for name, x in row.items()}
+    row = {name: x if isinstance(x, str | float) else statistics.finite_mean(x) for name, x in row.items()}
     return row, up[same[0]] if same else 0
 
 

@@ -14,6 +14,7 @@ import go1
 import measure
 import tasks
 from runtime import run_folder
+from studies import statistics
 
 PARAMETERS = dict(  # those that are fields of tasks.Config, and then those of the joints of the model
     payload=(-3, -2, -1, 0, 1, 2, 3, 5),  # kg on the trunk
@@ -66,7 +67,7 @@ def robust(folders, args):
                 e = measure.run_episodes(*loaded, np.repeat(commands, each, 0))
                 row = dict(run=folder.name, parameter=parameter, value=x, trained_low=low, trained_high=high)
                 row |= dict(episodes=len(e.fell), fell=np.mean(e.fell))
-                row |= {name: measure.finite_mean(getattr(e, name)) for name in ("performance", "v_x", "power")}
+                row |= {name: statistics.finite_mean(getattr(e, name)) for name in ("performance", "v_x", "power")}
                 rows.append(row)
     return rows, draw(rows)
 

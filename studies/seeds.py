@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 import measure
 import tasks
 from runtime import metrics, run_folder
-from studies import episodes, sweep
+from studies import episodes, statistics, sweep
 
 LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
 
@@ -24,7 +24,7 @@ def overview(folder, args):
     e, nominal = episodes.both_starts(folder, env_cfg.task, commands, each, args)
     row = dict(run=folder.name, seed=cfg.seed, performance=e.performance.mean(), fell=e.fell.mean())
     row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
-    row |= {name: measure.finite_mean(getattr(e, name)) for name in ("v_x", "peak", "power", "energy")}
+    row |= {name: statistics.finite_mean(getattr(e, name)) for name in ("v_x", "peak", "power", "energy")}
     row |= {name: np.abs(getattr(e, name)).mean() for name in ("pitch", "roll")}
     speeds = zip(commands[:, 0], e.v_x.reshape(-1, each).mean(1), strict=True)
     return row | {f"v_x_at_{x:g}": speed for x, speed in speeds if len(commands) > 1}

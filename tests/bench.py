@@ -24,8 +24,8 @@ import numpy as np
 
 import eipo
 import go1_env
-import networks
 import tasks
+from runtime import mirror
 
 ROUNDS, STEPS = 7, 25  # how often something is measured; steps of an environment each time
 
@@ -70,7 +70,7 @@ def bench_iteration(args, warm_up=2):
     for algo, policies in (("ppo", 1), ("eipo", 2)):
         envs = [go1_env.Go1Env(args.num_envs // policies, tasks.task_config(args.task)) for _ in range(policies)]
         cfg = eipo.Config(algo=algo, num_envs=args.num_envs, iterations=warm_up + iterations)
-        seen = [networks.EvenOdd(env, args.mirror) for env in envs]
+        seen = [mirror.EvenOdd(env, args.mirror) for env in envs]
         run = eipo.eipo(*seen, cfg) if policies == 2 else eipo.ppo(*seen, cfg)
         state, _ = [next(run) for _ in range(warm_up)][-1]  # compiled by now
         forward = sum(2 * w.size for w in jax.tree.leaves(state.pi.params) if w.ndim == 2)  # FLOP of one sample

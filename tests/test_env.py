@@ -31,6 +31,7 @@ import go1
 import go1_env
 import tasks
 from go1_env import Go1Env
+from runtime import snapshot
 
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)
 TO_THE_LEFT = (0.5**0.5, 0, 0, 0.5**0.5)
@@ -451,16 +452,16 @@ def test_the_next_step_depends_on_nothing_but_the_state(task, reward, tmp_path):
     constant = {name for name in ours if not name.startswith(".state") and same_bits([ours[name]], [others[name]])}
     for x in (x for name, x in arrays(fresh).items() if name not in constant and x.flags.writeable):
         x[:] = np.nan if x.dtype.kind == "f" else 77
-    np.savez(tmp_path / "state.npz", **env.save())
+    np.savez(tmp_path / "state.npz", **snapshot.save(env))
     with np.load(tmp_path / "state.npz", allow_pickle=False) as state:
-        fresh.load(state)
+        snapshot.load(fresh, state)
     assert same_bits(run(env, actions[3:]), run(fresh, actions[3:]))
 
 
 def test_what_is_handed_out_is_a_copy():
     """A rollout keeps what step returns, a checkpoint what save does: the next step must not write there."""
     env = make(3, episode_steps=2)
-    first = [*run(env, random_actions(env, 1)), *env.save().values()]
+    first = [*run(env, random_actions(env, 1)), *snapshot.save(env).values()]
     kept = [x.copy() for x in first]
     run(env, random_actions(env, 4, seed=1))
     assert same_bits(first, kept)

@@ -15,10 +15,9 @@ import pytest
 from support import DAMAGES, ROOT, TINY, contents, error_of
 
 import evaluate
-import go1_env
 import measure
 import train
-from runtime import interrupt, metrics, policy_file, run_folder
+from runtime import interrupt, limits, metrics, policy_file, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 
@@ -324,7 +323,7 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, given, began
 
     test_the_number_of_cores_changes_no_bit shows what it is good for.
     """
-    monkeypatch.setattr(go1_env, "cores", lambda: 8)
+    monkeypatch.setattr(limits, "cores", lambda: 8)
     monkeypatch.delenv("PJRT_NPROC", raising=False)
     if given:
         monkeypatch.setenv("PJRT_NPROC", given)
@@ -335,7 +334,7 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, given, began
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(go1_env.cores() < 2 or not hasattr(os, "sched_setaffinity"), reason="needs two cores")
+@pytest.mark.skipif(limits.cores() < 2 or not hasattr(os, "sched_setaffinity"), reason="needs two cores")
 def test_the_number_of_cores_changes_no_bit(tmp_path, monkeypatch):
     """Begun on two cores, resumed on two and on one. With a product per thread the last digit of kl would differ."""
     flags = [

@@ -16,6 +16,7 @@ import go1
 import networks
 import ppo
 from eipo import Rollout
+from runtime import mirror
 
 KEY = jax.random.key(0)
 policy = jax.jit(networks.policy)
@@ -149,10 +150,10 @@ def test_mirror_of_an_observation():
 
 def test_even_odd_by_hand():
     """(a, b, c) -> (b, a, -c): even (a + b) / sqrt 2; odd (a - b) / sqrt 2 and c."""
-    basis, even = networks.even_odd(np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]))
+    basis, even = mirror.even_odd(np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]))
     s = 0.5**0.5
     assert even == 1 and basis == pytest.approx(np.array([[s, s, 0], [s, -s, 0], [0, 0, 1]]))
-    env = networks.EvenOdd(make())
+    env = mirror.EvenOdd(make())
     assert (env.obs_size, env.privileged_size, env.action_size) == ((5 * 21, 5 * 23), (2, 1), (6, 6))
     for basis in (env.obs, env.privileged, env.action):
         np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
@@ -174,7 +175,7 @@ def test_mirrored_layer_by_hand():
 
 def new_policy(is_mirrored=True):
     """An environment in even and odd coordinates, and a policy for it. Noise makes every weight count."""
-    env, rng = networks.EvenOdd(make(8, noise=1.0), is_mirrored), np.random.default_rng(0)
+    env, rng = mirror.EvenOdd(make(8, noise=1.0), is_mirrored), np.random.default_rng(0)
     cfg = replace(EIPO, hidden=(16, 8), hidden_estimator=(6, 4))
     sizes = env.obs_size, env.privileged_size, env.action_size
     shapes = jax.eval_shape(lambda key: ppo.init_learner(key, sizes, 2, cfg).params, KEY)  # nothing to compile

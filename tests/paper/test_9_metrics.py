@@ -7,6 +7,7 @@ import pytest
 from support import frames, handmade, make
 
 import measure
+from studies import statistics
 
 
 class Scripted:
@@ -93,13 +94,13 @@ def test_commands_are_kept_and_seen_from_the_first_frame():
 def test_iqm_by_hand():
     """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 ... 99^2: 25^2 ... 74^2."""
     for greatest in (7.0, 1000.0):
-        assert measure.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
-    assert measure.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
+        assert statistics.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
+    assert statistics.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
 
 
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
-    row = measure.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], measure.iqm)
+    row = statistics.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], statistics.iqm)
     assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_mean", "x_n"]
     assert row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
@@ -108,28 +109,31 @@ def test_summarise_by_hand():
 
 def test_summarise_without_an_interval():
     """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing finite is NaN."""
-    row = measure.summarise("x", [np.full(8, 2.0)])
+    row = statistics.summarise("x", [np.full(8, 2.0)])
     assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(row["x_seeds_low"])
-    *numbers, n = measure.summarise("x", [np.array([np.nan])]).values()
+    *numbers, n = statistics.summarise("x", [np.array([np.nan])]).values()
     assert len(numbers) == 6 and all(np.isnan(numbers)) and n == 0
 
 
 def test_iqm_does_not_see_rare_falls_but_the_mean_does():
     """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 = 1.125."""
     episodes = [np.array([0.25, *[1.25] * 7])]
-    for row, x in ((measure.summarise("x", episodes), 1.125), (measure.summarise("x", episodes, measure.iqm), 1.25)):
+    for row, x in (
+        (statistics.summarise("x", episodes), 1.125),
+        (statistics.summarise("x", episodes, statistics.iqm), 1.25),
+    ):
         assert (row["x"], row["x_mean"]) == (x, 1.125)
 
 
 def test_mean_of_what_is_finite():
     """J/m of robots that stand is NaN: (1 + 2) / 2, and NaN where nobody moves."""
-    assert measure.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5 and np.isnan(measure.finite_mean([np.nan]))
+    assert statistics.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5 and np.isnan(statistics.finite_mean([np.nan]))
 
 
 def test_interval_covers_the_truth():
     """Of 40 samples of a normal with IQM 0, about 38 of the 95 % intervals hold it."""
     rng = np.random.default_rng(0)
-    intervals = [measure.interval(rng.normal(size=50), measure.iqm, batch=100) for _ in range(40)]
+    intervals = [statistics.interval(rng.normal(size=50), statistics.iqm, batch=100) for _ in range(40)]
     assert 34 <= sum(low < 0 < high for low, high in intervals) <= 40
 
 
@@ -142,6 +146,6 @@ def test_iqm_and_interval_agree_with_rliable():
     x = np.random.default_rng(0).normal(size=(3, 8))
     aggregate = lambda y: np.array([metrics.aggregate_iqm(y)])  # noqa: E731
     point, bounds = rly.get_interval_estimates({"x": x.reshape(-1, 1)}, aggregate, reps=4000)
-    row = measure.summarise("x", list(x), measure.iqm)
+    row = statistics.summarise("x", list(x), statistics.iqm)
     assert row["x"] == pytest.approx(point["x"][0])
     assert (row["x_low"], row["x_high"]) == pytest.approx(tuple(bounds["x"][:, 0]), abs=0.1)
