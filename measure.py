@@ -87,6 +87,11 @@ def steps(policy, env, command=None):
             watch(True)
 
 
+def energy_per_metre(power, v_x):
+    """Energy per velocity [J/m] of power [W] and speed ahead v_x [m/s], both (N,). NaN if slower than SLOW (D27)."""
+    return np.divide(power, v_x, out=np.full(len(v_x), np.nan), where=v_x > SLOW)
+
+
 def run_episodes(policy, env, command=None):
     """The Episodes of all robots of env. Arguments are those of `steps`."""
     limit, totals, late = env.env_cfg.episode_steps, np.zeros((6, env.num_envs)), np.zeros((2, env.num_envs))
@@ -105,7 +110,6 @@ def run_episodes(policy, env, command=None):
             sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
     performance, length = totals[0] / limit, totals[-1]
     v_x, power, pitch, roll = totals[1:-1] / length
-    nan = np.full(env.num_envs, np.nan)
-    v_x_late = np.divide(late[0], late[1], out=nan.copy(), where=late[1] > 0)
-    energy = np.divide(power, v_x, out=nan, where=v_x > SLOW)
+    v_x_late = np.divide(late[0], late[1], out=np.full(env.num_envs, np.nan), where=late[1] > 0)
+    energy = energy_per_metre(power, v_x)
     return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)

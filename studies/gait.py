@@ -150,7 +150,7 @@ def gait_row(seen, weight, env_cfg):
     hz, phases = np.array([found[i][1] for i in same]), np.array([found[i][2] for i in same]).reshape(-1, 4)
     phases = np.round(np.angle(np.exp(2j * np.pi * phases).sum(0)) / (2 * np.pi), 6) % 1
     contact, v_x, power = seen.contact[:, up], seen.v_x[:, up].mean(0), seen.power[:, up].mean(0)
-    energy_per_m = np.divide(power, v_x, out=np.full(len(up), np.nan), where=v_x > measure.SLOW)  # D27
+    energy_per_m = measure.energy_per_metre(power, v_x)
     row = dict(gait=gait, share=len(same) / max(1, len(up)), stride_hz=hz, v_x=v_x, power=power, energy=energy_per_m,
                cost_of_transport=energy_per_m / weight[up], flight=~contact.any(-1))  # fmt: skip
     for prefix, x in dict(duty=contact, phase=phases, power=leg_power(seen, env_cfg.clip)[:, up]).items():

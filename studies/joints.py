@@ -27,7 +27,7 @@ def joint_rows(seen, joint_range):
         qd_most=np.abs(qd).max(0), qd_limit=go1.VELOCITY_LIMIT,
         torque_most=np.abs(torque).max(0), torque_limit=go1.TORQUE_LIMIT,
         at_limit=(np.abs(torque) > 0.999 * go1.TORQUE_LIMIT).mean(0), torque_rms=np.sqrt(np.square(torque).mean(0)),
-        heat=energy.HEATING * np.square(torque * energy.GEAR_RATIO).mean(0),  # Eq. (9), joint by joint
+        heat=energy.heating_power(torque[..., None], energy.GEAR_RATIO[:, None]).mean(0),  # Eq. (9), joint by joint
     )  # fmt: skip
     return [dict(joint=name) | {c: float(x[j]) for c, x in columns.items()} for j, name in enumerate(NAMES)]
 
