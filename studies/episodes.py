@@ -33,7 +33,10 @@ def of_run(folder, commands, each, clip=None, roughness=None, nominal=False, rob
     table = unpack(folder / run_folder.EPISODES)
     mine = [(table[:, : len(ASKED)] == row).all(1) for row in asked]
     if any(rows.sum() != each for rows in mine):
-        stamp = policy_file.stamp(folder)
+        stamp, least = policy_file.stamp(folder), min(rows.sum() for rows in mine)
+        if least and not stamp:
+            raise ValueError(f"{folder} has no policy.npz, and its {run_folder.EPISODES} has {least} episodes of each "
+                             f"command: give --episodes {least * len(asked)}, not {each * len(asked)}")  # fmt: skip
         loaded = measure.load(folder, each * len(asked), clip, roughness, nominal)
         played = measure.run_episodes(*loaded, np.repeat(commands, each, 0))
         new = np.column_stack([np.repeat(asked, each, 0), *played])

@@ -381,6 +381,16 @@ def test_damaged_or_older_episodes_are_played_again(runs, played, data):
     assert len(episodes.of_run(runs["flat"], TWO, 1).v_x) == 2 and played == [2]
 
 
+def test_a_folder_without_a_policy_says_how_many_episodes_it_has(runs, played, capsys):
+    """11 commands. 22 episodes are 2 of each, which are kept, and 33 are 3 of each."""
+    folder = Path(shutil.copytree(runs["flat"], "run"))
+    run(folder, "--episodes", 22)
+    (folder / "policy.npz").unlink()
+    run(folder, "--episodes", 22)
+    says = error_of(capsys, evaluate.main, folder, "--episodes", 33)
+    assert "has 2 episodes of each" in says and "--episodes 22, not 33" in says
+
+
 def test_a_folder_that_cannot_be_written_is_evaluated_all_the_same(runs, played, monkeypatch):
     monkeypatch.setattr(run_folder, "replace_file", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
     assert len(episodes.of_run(runs["flat"], TWO, 1).v_x) == 2
@@ -585,11 +595,12 @@ def test_what_is_no_run_folder_is_left_out_and_named(runs, capsys, scripted, uns
 
 
 def test_the_folders_in_results_can_be_given_with_a_star(capsys):
-    """16 control steps of 11 episodes, in a copy: evaluating writes into run folders."""
+    """16 control steps of 990 episodes, as many as are kept, in a copy: evaluating writes into run folders."""
     shutil.copytree(ROOT / "results" / "flat", "flat")
-    run(*sorted(Path("flat").iterdir()), "--episodes", 11)
+    run(*sorted(Path("flat").iterdir()), "--episodes", 990)
     said = capsys.readouterr()
-    assert "| seed0 |" in said.out and "flat/README.md" in said.err and "flat/seed0" not in said.err
+    assert "| flat-eipo-lam0.005-seed0 |" in said.out and "lam0.005-seed0" not in said.err
+    assert "flat/README.md" in said.err
 
 
 def test_runs_of_several_tasks_have_their_own_columns(runs, scripted, capsys):
@@ -661,7 +672,7 @@ def test_only_policies_that_there_are_are_kept(runs, scripted):
 
 
 def test_runs_of_one_name_are_not_kept_over_each_other(runs, scripted, tmp_path, capsys):
-    """results/flat/seed0 and results/velocity/seed0 have one name. It is said before anything is played."""
+    """runs/flat/seed0 and runs/velocity/seed0 would have one name. It is said before anything is played."""
     folders = [shutil.copytree(runs[name], tmp_path / name / "seed0") for name in ("flat", "flat_1")]
     assert "same name" in error_of(capsys, evaluate.main, "fig2", *folders, "--out", "out")
     assert scripted == [] and not Path("out").exists()

@@ -14,7 +14,7 @@ from runtime import policy_file, run_folder
 
 SENSORS = ("time", "gravity", "command", "q", "qd")
 WIDTHS = dict(gravity=3, command=3, q=12, qd=12, frame=44, estimate=3, action=12, target=12)
-COMMITTED = ["results/flat/seed0", "results/velocity/seed0"]
+COMMITTED = ["results/flat/flat-eipo-lam0.005-seed0", "results/velocity/velocity-eipo-lam0.0002-seed0"]
 
 
 @pytest.fixture(scope="module")

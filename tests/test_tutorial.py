@@ -35,7 +35,7 @@ BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
-WALKED = {"hop", "trot"}  # figures of policies that walk: another machine's rounding grows with every step of theirs
+WALKED = {"hop", "leap"}  # figures of policies that walk: another machine's rounding grows with every step of theirs
 MODULES = {path.stem for path in ROOT.glob("*.py")} | {"tutorial"}
 
 

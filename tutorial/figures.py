@@ -296,7 +296,7 @@ def footfalls(axes, c):
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def trot(c):
+def leap(c):
     """Footfalls of the running robot."""
     figure = Figure(figsize=(8, 1.9), layout="constrained")
     footfalls(figure.subplots(), c)
@@ -398,7 +398,7 @@ def runs(c):
 def paper(c):
     """Our Figures 2 to 6: a line for each run; keys are panel:run:axis."""
     figure, axes = panels(3, 5.2, rows=2)
-    labels = dict(fig2="Fig. 2, 4: reward, flat", fig3="Fig. 3, 4: reward, rough", energy="Fig. 3: energy [J/m], rough",
+    labels = dict(fig2="Fig. 2: reward, flat", fig3="Fig. 3: reward, rough", energy="Fig. 3: energy [J/m], rough",
                   fig5="Fig. 5: reward, Eq. (8)", power="Fig. 5: power [W]", fig6="Fig. 6: v_x [m/s]")  # fmt: skip
     runs = list(dict.fromkeys(key.split(":")[1] for key in c))
     colours = dict(zip(runs, COLOURS, strict=False))
@@ -409,7 +409,7 @@ def paper(c):
         a.set(xlabel="time [s]" if panel == "fig6" else "command v_x [m/s]", ylabel=label)
     axes[2].set_yscale("log")
     handles = {label: line for a in axes for line, label in zip(*a.get_legend_handles_labels(), strict=True)}
-    style = dict(loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+    style = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     figure.legend(handles.values(), handles.keys(), **style)
     return figure
 
@@ -424,5 +424,5 @@ def readings(c):
     return figure
 
 
-FIGURES = {f.__name__: f for f in (trap, loop, alpha, ahead, reward, ground, commands, hop, trot, robot, motor, mirror,
+FIGURES = {f.__name__: f for f in (trap, loop, alpha, ahead, reward, ground, commands, hop, leap, robot, motor, mirror,
                                    runs, paper, readings)}  # fmt: skip
