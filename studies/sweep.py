@@ -10,6 +10,7 @@ from dataclasses import asdict
 from itertools import compress
 from pathlib import Path
 
+import tasks
 import train
 from runtime import metrics, run_folder
 from runtime.flags import Options, parse, settle
@@ -60,8 +61,9 @@ def by_label(folders, task):
 
 
 def kind(env_cfg, cfg):
-    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other cost or reward."""
-    name = "EIPO" if cfg.algo == "eipo" else f"PPO({cfg.lam:g})"
+    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost or reward."""
+    usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam")
+    name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if usual else f"EIPO from {cfg.lam:g}"
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
 
 

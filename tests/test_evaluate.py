@@ -202,6 +202,15 @@ def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved
         ("EIPO, 256 robots", 2.86), ("EIPO, 512 robots", 2.86), ("PPO(0.01)", 1.45)]  # fmt: skip
 
 
+def test_eipo_from_another_lambda_0_is_a_kind_of_its_own(runs, scripted, unsaved, tmp_path):
+    """The paper has one lambda_0 per task, 0.0002 on `velocity`, so its number stands beside that run alone."""
+    other = make_run(tmp_path / "other", "velocity", lam=0.01)
+    run("table1", other, runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
+    ((rows, _),) = unsaved
+    assert [row["run"] for row in rows] == ["EIPO", "PPO(0.01)", "EIPO from 0.01"]
+    assert [row["paper"] for row in rows[:2]] == [2.86, 1.45] and np.isnan(rows[2]["paper"])
+
+
 def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
     """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's area is 20 + 250."""
     run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
@@ -706,7 +715,8 @@ def test_a_terminal_shows_progress_and_the_time_left(runs, capsys, monkeypatch):
 
     Runs of another task do not count, nor do episodes that are on disk: where half are known, the rest is half.
     """
-    monkeypatch.setattr(evaluate.time, "monotonic", itertools.count(0, 60).__next__)
+    clock = SimpleNamespace(monotonic=itertools.count(0, 60).__next__)  # JAX, which compiles meanwhile, keeps its own
+    monkeypatch.setattr(evaluate, "time", clock)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     folders = [shutil.copytree(runs[name], name) for name in ("flat", "flat_ppo", "rough")]
     run("fig2", *folders, "--episodes", 11)
