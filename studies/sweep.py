@@ -10,6 +10,7 @@ from dataclasses import asdict
 from itertools import compress
 from pathlib import Path
 
+import eipo
 import tasks
 import train
 from runtime import metrics, run_folder
@@ -62,7 +63,7 @@ def by_label(folders, task):
 
 def kind(env_cfg, cfg):
     """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost or reward."""
-    usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam")
+    usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam", eipo.Config.lam)
     name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if usual else f"EIPO from {cfg.lam:g}"
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
 
