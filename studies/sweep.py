@@ -20,8 +20,8 @@ LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 EIPO = ("--algo", "eipo")
 PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
-SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py), with three seeds each. Table I has
-    # EIPO twice: with as many robots in all as PPO, and with as many per policy
+SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train.py). Table I has EIPO twice: with as
+    # many robots in all as PPO, and with as many per policy
     fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
     fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
@@ -29,6 +29,7 @@ SWEEPS = dict(  # the runs behind each figure and Table I: (task, flags of train
           for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))],
     fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
     table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())])  # fmt: skip
+SEEDS = dict(fig2=3, fig3=3, fig4=1, fig5=1, fig6=3, table1=3)  # 3 as in V-D, 1 where runs are many or long
 RESULTS = Path(__file__).parents[1] / "results"  # where finished runs are kept, in a folder for each task
 
 
@@ -69,7 +70,7 @@ def kind(env_cfg, cfg):
 
 
 def missing_runs(what, flags):
-    """The train.py commands that a figure or the table still lacks, three seeds each; flags: to be added to each."""
+    """The train.py commands that a figure or the table still lacks, seeds as in SEEDS; flags: to be added to each."""
     if what not in SWEEPS:
         raise ValueError(f"--commands takes one of {', '.join(SWEEPS)}, and flags of train.py")
     own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
@@ -78,7 +79,7 @@ def missing_runs(what, flags):
     if taken:
         raise ValueError(f"--commands sets {taken[0]} itself")
     for task, setting in SWEEPS[what]:
-        for seed in range(3):
+        for seed in range(SEEDS[what]):
             argv = ["--task", task, *setting, "--seed", str(seed), *flags]
             if (so_far := progress(argv)) not in ("running", "done"):
                 yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
