@@ -21,7 +21,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 if __name__ == "__main__":
@@ -61,16 +60,17 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
 
 
 def draw_lines(axes, rows, x, column):
-    """Draw a line for each kind of run: means (D26) with their intervals over episodes. A large lambda is dark."""
+    """Draw a line for each kind of run: means (D26), in their intervals over episodes and, lighter, over seeds."""
     names = list(dict.fromkeys(row["run"] for row in rows))
     for i, name in enumerate(names):
         mine = [row for row in rows if row["run"] == name]
-        columns = (x, column, f"{column}_low", f"{column}_high")
-        at, y, low, high = (np.array([row[c] for row in mine], float) for c in columns)
-        color = "#0072B2" if name == "EIPO" else colormaps["YlOrBr"](0.35 + 0.6 * i / len(names))
+        at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
+        color, alpha = sweep.color(name), 0.25 if len(names) < 4 else 0.1
         style = dict(linewidth=2.5, marker="o") if name == "EIPO" else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
         axes.plot(at, y, color=color, label=name, markersize=4, markevery=max(1, len(at) // 10), **style)
-        axes.fill_between(at, low, high, color=color, alpha=0.25 if len(names) < 4 else 0.1, linewidth=0)
+        for over, shade in (("", alpha), ("_seeds", alpha / 2)):
+            low, high = (np.array([row[f"{column}{over}_{end}"] for row in mine], float) for end in ("low", "high"))
+            axes.fill_between(at, low, high, color=color, alpha=shade, linewidth=0)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
 

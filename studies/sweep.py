@@ -10,6 +10,8 @@ from dataclasses import asdict
 from itertools import compress
 from pathlib import Path
 
+from matplotlib import colormaps
+
 import eipo
 import tasks
 import train
@@ -67,6 +69,14 @@ def kind(env_cfg, cfg):
     usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam", eipo.Config.lam)
     name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if usual else f"EIPO from {cfg.lam:g}"
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+
+
+def color(name):
+    """The color of a kind of run in every figure: EIPO is blue, and PPO orange to brown. A large lambda is dark."""
+    if name.startswith("EIPO"):
+        return "#0072B2"
+    lam = float(name[len("PPO(") : name.index(")")])
+    return colormaps["YlOrBr"](0.3 + 0.07 * sum(x <= lam for x in LAMBDAS))
 
 
 def missing_runs(what, flags):

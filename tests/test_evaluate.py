@@ -269,11 +269,23 @@ def test_eipo_comes_first_then_lambda_ascends(runs, scripted, unsaved):
 def test_every_kind_of_run_has_a_line_of_its_own():
     """Ten kinds in one figure: no two share colour or marker, EIPO is the thickest."""
     axes = Figure().subplots()
-    evaluate.draw_lines(axes, [dict(run=k, x=x, y=x, y_low=x, y_high=x) for k in KINDS for x in (0, 1)], "x", "y")
+    intervals = dict(y_low=-1, y_high=2, y_seeds_low=-2, y_seeds_high=3)
+    evaluate.draw_lines(axes, [dict(run=k, x=x, y=x) | intervals for k in KINDS for x in (0, 1)], "x", "y")
     lines = axes.get_lines()
     assert [line.get_label() for line in lines] == KINDS
     assert len({str(line.get_color()) for line in lines}) == len({line.get_marker() for line in lines}) == 10
     assert lines[0].get_linewidth() > max(line.get_linewidth() for line in lines[1:])
+    episodes, seeds = axes.collections[:2]
+    assert [band.get_datalim(axes.transData).intervaly.tolist() for band in (episodes, seeds)] == [[-1, 2], [-2, 3]]
+    assert episodes.get_alpha() > seeds.get_alpha()
+
+
+def test_a_kind_has_its_color_in_every_figure():
+    """Whatever else a run's name says, EIPO is blue and a lambda has its shade; of the larger one it is darker."""
+    color = evaluate.sweep.color
+    assert color("EIPO") == color("EIPO from 0.01, 256 robots") == "#0072B2"
+    assert color("PPO(0)") == color("PPO(0) shaped") == color("PPO(0), 64 robots") != color("PPO(0.0001)")
+    assert sum(color("PPO(0.3)")) < sum(color("PPO(0.005)")) < sum(color("PPO(0.0003)")) < sum(color("PPO(0)"))
 
 
 # ---- the world in which it is measured ----

@@ -53,7 +53,7 @@ LAYERS = {
     "studies/gait": {"numpy", "scipy", "matplotlib"},
     "studies/joints": {"numpy", "matplotlib"},
     "studies/robust": {"numpy", "mujoco", "matplotlib"},
-    "studies/sweep": set(),
+    "studies/sweep": {"matplotlib"},
     "studies/seeds": {"numpy", "matplotlib"},
     "evaluate": {"numpy", "matplotlib"},
     "runtime/scene": {"numpy", "mujoco"},
