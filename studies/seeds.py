@@ -67,7 +67,7 @@ def pareto(folders, args):
         rows += [dict(kind=name) | row for row in mine]
         x, y, fell = ([row[column] for row in mine] for column in ("energy", "v_x", "fell"))
         axes.scatter(x, y, 20 + 2000 * np.array(fell), alpha=0.6, label=name, color=sweep.color(name),
-                     marker="osv^D<>pX*Ph"[i % 12])  # fmt: skip
+                     marker="osv^D<>pX*PhdH"[i % 14])  # fmt: skip
     axes.set(xlabel="energy [J/m]", ylabel="speed over ground [m/s]", xscale="log")  # a standing robot has 1000 J/m
     axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
     axes.minorticks_off()

@@ -3,6 +3,7 @@
 import csv
 import functools
 import gzip
+import importlib
 import itertools
 import json
 import os
@@ -928,3 +929,27 @@ def test_a_sweep_trains_as_the_readme_says(sweep):
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
     assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]
+
+
+# ---- results/objective.py ----
+
+
+@pytest.fixture
+def objective(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "results")
+    return importlib.import_module("objective")
+
+
+def test_the_policy_that_eq2_prefers(objective):
+    """At 0.01 the slow one is worth 0.5 - 0.01 x 50 = 0 and the fast one 2 - 1.5 = 0.5; at 0.02 it is -0.5 and -1."""
+    policies = {"velocity-ppo-lam0.01-seed0": (0.5, 50.0, 0.4), "fast": (2.0, 150.0, 2.25)}
+    *_, at_001, at_002 = objective.rows(policies)
+    assert (at_001, at_002) == (
+        "0.01,0.000,fast,0.500,2.25,150",
+        "0.02,velocity-ppo-lam0.01-seed0,-0.500,0.40,50",
+    )
+
+
+def test_objective_csv_is_that_of_the_kept_episodes(objective):
+    lines = (ROOT / "results" / "velocity" / "objective.csv").read_text().splitlines()
+    assert lines[1:] == list(objective.rows(objective.kept(ROOT / "results" / "velocity")))
