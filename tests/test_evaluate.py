@@ -945,8 +945,8 @@ def test_the_policy_that_eq2_prefers(objective):
     policies = {"velocity-ppo-lam0.01-seed0": (0.5, 50.0, 0.4), "fast": (2.0, 150.0, 2.25)}
     *_, at_001, at_002 = objective.rows(policies)
     assert (at_001, at_002) == (
-        "0.01,0.000,fast,0.500,2.25,150",
-        "0.02,velocity-ppo-lam0.01-seed0,-0.500,0.40,50",
+        "0.01,0.000,nan,nan,fast,0.500,2.25,150",
+        "0.02,nan,nan,nan,velocity-ppo-lam0.01-seed0,-0.500,0.40,50",
     )
 
 
