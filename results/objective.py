@@ -3,8 +3,8 @@
 The worth of a policy is its task performance minus lambda times its power, both of the episodes with random starts that
 the folders in `velocity` keep. Runs of 1000 iterations with the power clip take part, and EIPO may have 256 robots. So
 the best one proves that a better policy exists than PPO's own seeds have found. Performance counts the time after a
-fall as 0, and power is a mean until then, without the bonus of Eq. (9). Corrected for both, worths move by up to 0.1 at
-lambda = 0.02, and by less at smaller ones.
+fall as 0, and power is a mean until then, without the bonus of Eq. (9). So robots that fall often are worth slightly
+more or less than this says.
 """
 
 import sys
