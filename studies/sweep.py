@@ -133,12 +133,13 @@ def keep_runs(out, folders):
 
 
 def thinned(folder):
-    """The metrics.csv of a run, as bytes: every tenth row and the last one, with seven digits of each number."""
+    """The metrics.csv of a run, as bytes: every tenth row and the last one, with five digits of what is not whole."""
     columns = metrics.read(folder)
     iterations = columns.get("iteration", [])
     kept = [i % 10 == 0 or i == iterations[-1] for i in iterations]
     rows = compress(zip(*columns.values(), strict=True), kept)
-    return "\n".join([",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in rows), ""]).encode()
+    lines = (",".join(f"{x:.5g}" if x % 1 else f"{x:.0f}" for x in row) for row in rows)
+    return "\n".join([",".join(columns), *lines, ""]).encode()
 
 
 def last(folder):
