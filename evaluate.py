@@ -127,7 +127,7 @@ def fig5(folders, args):
 def fig6(folders, args):
     """Mean velocity over time of the robots that have not fallen yet. Dotted: the paper's hardware (D45). Section VI.
 
-    Each point is a mean over about a period of the clock, because all robots stride in time with it.
+    Each point is a mean over about a period of the clock, which smooths the strides.
     """
     rows = []
     for name, runs in sweep.by_label(folders, "velocity").items():
