@@ -25,6 +25,7 @@ def show(env, model, data):
     """Put the drawn robot where the simulated one is, on the middle tile; the same torques make the same forces."""
     state = env.state
     model.body_mass[:], model.body_ipos[:], model.geom_friction[:] = state.mass[0], state.com[0], state.friction[0]
+    model.body_subtreemass[1] = state.mass[0].sum()  # of the trunk and its legs: the camera looks at their centre
     model.opt.gravity[:] = state.gravity[0]
     data.qpos[:], data.qvel[:], data.ctrl[:] = env.qpos[0], env.qvel[0], env.ctrl[0]
     if env.ground is not None:

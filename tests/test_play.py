@@ -480,6 +480,16 @@ def test_the_drawn_robot_stands_on_the_drawn_ground_as_the_simulated_one(hills):
         assert data.body("trunk").xpos[2] == env.qpos[0, 2]
 
 
+def test_the_camera_looks_at_a_robot_with_a_payload(hills):
+    """It follows the robot's centre of mass, which 3 kg more in the trunk move by less than 20 cm, also 14 m away."""
+    env, model, data = hills
+    env.reset(0)
+    env.state.mass[0, env.trunk.id] += 3.0
+    play.show(env, model, data)
+    assert np.abs(data.qpos[:2]).max() > 10
+    assert np.linalg.norm(data.subtree_com[1] - data.qpos[:3]) < 0.2
+
+
 @pytest.mark.parametrize("corner", [(0, 0), (0, 4), (4, 0), (4, 4)], ids=str)
 def test_at_the_edge_of_its_tile_there_is_ground_on_all_sides(hills, corner):
     """Ten metres in every direction, and it is the ground on which the robot will find itself there: the tile's own."""
