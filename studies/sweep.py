@@ -138,7 +138,7 @@ def thinned(folder):
     iterations = columns.get("iteration", [])
     kept = [i % 10 == 0 or i == iterations[-1] for i in iterations]
     rows = compress(zip(*columns.values(), strict=True), kept)
-    lines = (",".join(f"{x:.5g}" if x % 1 else f"{x:.0f}" for x in row) for row in rows)
+    lines = (",".join(f"{x:.0f}" if float(x).is_integer() else f"{x:.5g}" for x in row) for row in rows)
     return "\n".join([",".join(columns), *lines, ""]).encode()
 
 

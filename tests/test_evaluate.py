@@ -452,8 +452,8 @@ def test_seeds_says_when_a_reward_was_reached(runs, two_episodes):
     are too few for these times, but enough for the numbers of the policy without the policy. What is whole stays exact.
     """
     folder = Path(shutil.copytree(runs["flat"], "run"))
-    rows = [f"{i},{100_001 * i},{i / 20},{60 * (i if i <= 10 else i - 10)},{i + 1 / 3}" for i in range(1, 36)]
-    (folder / "metrics.csv").write_text("\n".join(["iteration,steps,reward,time_s,v_x", *rows, ""]))
+    rows = [f"{i},{100_001 * i},{i / 20},{60 * (i if i <= 10 else i - 10)},{i + 1 / 3},inf" for i in range(1, 36)]
+    (folder / "metrics.csv").write_text("\n".join(["iteration,steps,reward,time_s,v_x,alpha", *rows, ""]))
     run("seeds", folder, "--episodes", 4, "--out", "out")
     (row,) = table("out/seeds.csv")
     times_of = [f"{unit}_{level}" for level in (1.2, 1.35) for unit in ("msteps", "minutes")]
@@ -462,8 +462,8 @@ def test_seeds_says_when_a_reward_was_reached(runs, two_episodes):
     kept = Path("out/run")
     for name in ("policy.npz", "config.json", run_folder.EPISODES):
         assert (kept / name).read_bytes() == (folder / name).read_bytes()
-    assert (kept / "metrics.csv").read_text().splitlines()[::2] == ["iteration,steps,reward,time_s,v_x",
-        "20,2000020,1,600,20.333", "35,3500035,1.75,1500,35.333"]  # fmt: skip
+    assert (kept / "metrics.csv").read_text().splitlines()[::2] == ["iteration,steps,reward,time_s,v_x,alpha",
+        "20,2000020,1,600,20.333,inf", "35,3500035,1.75,1500,35.333,inf"]  # fmt: skip
     assert [row["iteration"] for row in table(kept / "metrics.csv")] == ["10", "20", "30", "35"]
     (kept / "policy.npz").unlink()
     run("seeds", kept, "--episodes", 4, "--out", "out")
