@@ -397,7 +397,7 @@ def runs(c):
 
 def paper(c):
     """Our Figures 2 to 6: a line for each run; keys are panel:run:axis."""
-    figure, axes = panels(3, 5.2, rows=2)
+    figure, axes = panels(3, 4.9, rows=2)
     labels = dict(fig2="Fig. 2: reward, flat", fig3="Fig. 3: reward, rough", energy="Fig. 3: energy [J/m], rough",
                   fig5="Fig. 5: reward, Eq. (8)", power="Fig. 5: power [W]", fig6="Fig. 6: v_x [m/s]")  # fmt: skip
     runs = list(dict.fromkeys(key.split(":")[1] for key in c))
