@@ -953,3 +953,21 @@ def test_the_policy_that_eq2_prefers(objective):
 def test_objective_csv_is_that_of_the_kept_episodes(objective):
     lines = (ROOT / "results" / "velocity" / "objective.csv").read_text().splitlines()
     assert lines[1:] == list(objective.rows(objective.kept(ROOT / "results" / "velocity")))
+
+
+# ---- results/regions.py ----
+
+
+def test_regions_of_figure_5(monkeypatch):
+    """Straight ahead A has (1 + 0.5) / 2 = 0.75, (100 + 300) / 2 = 200 W, a half ends; it is ahead at 0 m/s alone."""
+    monkeypatch.syspath_prepend(ROOT / "results")
+    regions = importlib.import_module("regions")
+    names = "run", "v_x_asked", "yaw_asked", "performance_mean", "power_mean", "fell"
+    rows = [("A", 0, 0, 1, 100, 0), ("A", 1.5, 0, 0.5, 300, 1), ("A", 1, -2, 0.25, 500, 0.25), ("A", -1, 0, 0, 1, 1),
+            ("A", 4, 0, 0, 2, 1), ("A", 0, 5, 0, 3, 1)]  # fmt: skip
+    rows += [("B", *row[1:3], 0.75, 200, 0) for row in rows]
+    _, _, ahead, *_, better, less = regions.table([dict(zip(names, row, strict=True)) for row in rows], rival="B")
+    assert ahead == "| straight ahead, 0 to 1.5 m/s | 2 | 0.75, 200 W, 50 % | 0.75, 200 W, 0 % |"
+    assert (better, less) == ("| performs better than B | | 1 | 0 |", "| draws less than B | | 4 | 0 |")
+    page = (ROOT / "results" / "curriculum" / "README.md").read_text()
+    assert all(line in page for line in regions.table(table(ROOT / "results" / "curriculum" / "fig5.csv")))
