@@ -8,11 +8,14 @@ exchange    pi also trains on the rollouts of pi_prime. A borrowed sample weighs
 normalised  the advantages of each stream are normalised before they are mixed, so that alpha lambda_0 = 1 weighs both
             alike whatever lambda_0 is. The lab's code does so
 fixed       as normalised, with weights 1.5 : 1 for ever; for --algo ppo. The lab's code may have amounted to this
+noisy       the exploration noise, which starts at 1, never falls below a standard deviation of 0.6. It asks whether a
+            policy stands for long because it no longer tries a step
 
 Other readings need no code: `--ent-coef 0.01` is the lab's entropy bonus, `--clip torque` is Eq. (9) as printed, and
 `--lr-alpha 2 --dampening-alpha 0.99` lets alpha move by 1 % of 200 in an iteration.
 """
 
+import math
 import sys
 from pathlib import Path
 
@@ -75,11 +78,13 @@ def exchange(env, env_prime, cfg, state=None):
 
 def main(reading, argv):
     """Train with one reading; returns the exit status."""
-    if reading not in ("exchange", "normalised", "fixed"):
-        print(f"readings.py: unknown reading {reading!r}: choose exchange, normalised or fixed", file=sys.stderr)
+    if reading not in ("exchange", "normalised", "fixed", "noisy"):
+        print(f"readings.py: unknown reading {reading!r}: choose exchange, normalised, fixed or noisy", file=sys.stderr)
         return 2
     if reading == "exchange":
         eipo.eipo = exchange
+    elif reading == "noisy":
+        ppo.LOG_STD_RANGE = math.log(0.6), ppo.LOG_STD_RANGE[1]
     else:
         eipo.mix = dict(normalised=mix_normalised, fixed=mix_fixed)[reading]
     return train.main(argv)

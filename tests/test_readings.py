@@ -1,0 +1,50 @@
+"""results/readings.py: the readings of the paper that we tried and do not ship."""
+
+import csv
+import math
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import pytest
+from support import ROOT, TINY
+
+sys.path.append(str(ROOT / "results"))
+import readings
+
+# two samples, streams r and lam f: means 5 and 1, standard deviations 2 and 4, so normalised (1, -1) and (-1, 1)
+ADVANTAGE = jnp.array([[[7.0, -3.0]], [[3.0, 5.0]]])
+
+
+def test_normalised_weighs_the_streams_by_alpha_lam():
+    """alpha lam = 1/2: 0.5 x 1 - (-1) = 1.5 and 0.5 x (-1) - 1 = -1.5. With lam = 0: 7 and 3 as they are."""
+    assert readings.mix_normalised(ADVANTAGE, 2.0, 0.25).ravel().tolist() == [1.5, -1.5]
+    assert readings.mix_normalised(ADVANTAGE, math.inf, 0).ravel().tolist() == [7, 3]
+
+
+def test_fixed_weighs_the_streams_whatever_alpha_and_lam_are():
+    """1.5 x 1 - (-1) = 2.5 and -2.5."""
+    assert readings.mix_fixed(ADVANTAGE, 2.0, 0.25).ravel().tolist() == [2.5, -2.5]
+
+
+def trained(tmp_path, *flags):
+    """The rows of metrics.csv after two iterations of `readings.py FLAGS`."""
+    argv = [sys.executable, "results/readings.py", *flags, *TINY, "--iterations", "2", "--out", str(tmp_path / "run")]
+    subprocess.run(argv, cwd=ROOT, check=True, capture_output=True)
+    with (tmp_path / "run" / "metrics.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_noisy_keeps_the_noise_at_its_floor(tmp_path):
+    """It starts at exp(-3) = 0.05, below the floor of 0.6, so the first step of Adam clips it there."""
+    assert float(trained(tmp_path, "noisy", "--log-std", "-3")[-1]["std"]) == pytest.approx(0.6, abs=0.01)
+
+
+def test_exchange_weighs_what_it_borrows(tmp_path):
+    """A weight is min(1, ratio of probabilities), so its mean is in (0, 1]. Both policies are new: it is not yet 0."""
+    assert all(0 < float(row["borrowed"]) <= 1 for row in trained(tmp_path, "exchange"))
+
+
+def test_an_unknown_reading_is_named(capsys):
+    assert readings.main("fxied", []) == 2
+    assert "unknown reading 'fxied'" in capsys.readouterr().err
