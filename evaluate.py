@@ -249,7 +249,7 @@ def print_table(folders, args):
         row = seeds.overview(folder, args)
         if list(row) != head:
             head = list(row)
-            print("|", " | ".join(head), "|\n" + "|---" * len(head) + "|")
+            print("|", " | ".join(map(seeds.with_unit, head)), "|\n" + "|---" * len(head) + "|")
         print("|", " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()), "|", flush=True)
 
 
@@ -264,11 +264,7 @@ def main(argv):
     parser.add_argument("--out", type=Path, help="folder for PNG, CSV and what to keep of the runs (default: here)")
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
     parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
-    parser.add_argument(
-        "--roughness",
-        type=float,
-        help="m, of the ground (default: as in training; figures of rough: 0.15)",
-    )
+    parser.add_argument("--roughness", type=float, help="m (default: that of training; figures of rough: 0.15)")
     parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
     try:
         if argv[:1] == ["--commands"]:
@@ -283,6 +279,8 @@ def main(argv):
         what, *paths = args.runs if args.runs[0] in FIGURES else ("", *args.runs)
         if not paths:
             raise ValueError(f"{what} of which runs? Give run folders")
+        if args.command and what not in ("gait", "joints"):
+            raise ValueError("--command is for gait and joints: give one of them before the run folders")
         folders, tasks = run_folders(paths), {task for task, _ in sweep.SWEEPS.get(what, ())}
         played = [x for x in folders if not tasks or run_folder.load_config(x)[0].task in tasks]
         with show_progress(len(played) * BATCHES.get(what, 2)):

@@ -138,7 +138,10 @@ def read_npz(path):
                 raise ValueError(f"the checksum of {damaged} is wrong")
             return dict(arrays)
     except FileNotFoundError:
-        raise ValueError(f"{path} does not exist: is this a run folder, and has its run started?") from None
+        kept = (Path(path).parent / EPISODES).exists()  # and so the run was evaluated, before its policy was removed
+        hint = "this folder keeps its run's numbers alone, and config.json has the command that trains it again"
+        hint = hint if kept else "is this a run folder, and has its run started?"
+        raise ValueError(f"{path} does not exist: {hint}") from None
     except Exception as error:  # whatever the readers of zip, of npy and of the Python literal in its header may raise
         raise ValueError(f"{path} is damaged or was not written by train.py, so get it anew: {error}") from None
 

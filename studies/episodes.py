@@ -11,6 +11,7 @@ import numpy as np
 import measure
 from measure import Episodes
 from runtime import policy_file, run_folder
+from studies import sweep
 
 ASKED = ("start_spread", "least_roughness", "roughness", "torque_clip", "asked_v_x", "asked_v_y", "asked_yaw")
 ROUGHNESS = {"rough": 0.15}  # m, of the ground on which a task is evaluated, where it is not that of training [V-B]
@@ -21,7 +22,8 @@ def of_run(folder, commands, each, clip=None, roughness=None, nominal=False, rob
 
     They are played once. `episodes.csv.gz` in the run folder keeps them, with five digits, for the next figure and for
     whoever has the folder without its policy. Training deletes it with the next policy. Those of another robot are not
-    kept. Other arguments: as for `measure.load`.
+    kept, and fewer episodes do not replace more. What stands in results/ is a record and stays as it is.
+    Other arguments: as for `measure.load`.
     """
     folder, commands = Path(folder), np.round(commands, 3)
     if robot is not None:
@@ -41,7 +43,8 @@ def of_run(folder, commands, each, clip=None, roughness=None, nominal=False, rob
         played = measure.run_episodes(*loaded, np.repeat(commands, each, 0))
         new = np.column_stack([np.repeat(asked, each, 0), *played])
         data = pack(np.concatenate([table[~np.any(mine, 0)], new]))
-        if stamp == policy_file.stamp(folder):  # a training that saves another policy meanwhile makes these void
+        record = sweep.RESULTS.resolve() in folder.resolve().parents or max(rows.sum() for rows in mine) > each
+        if stamp == policy_file.stamp(folder) and not record:  # a training that saves meanwhile makes these void
             with suppress(OSError):  # who may not write there plays again the next time
                 run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
         return Episodes(*unpack(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)

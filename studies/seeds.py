@@ -10,6 +10,7 @@ import tasks
 from runtime import metrics, run_folder
 from studies import episodes, statistics, sweep
 
+UNITS = dict(v_x="m/s", peak="m/s", power="W", energy="J/m", pitch="degrees", roll="degrees")  # of `overview`
 LEVELS = dict(flat=(1.2, 1.35))  # `seeds` says when the mean task reward of a run's robots reached these
 
 
@@ -28,6 +29,12 @@ def overview(folder, args):
     row |= {name: np.abs(getattr(e, name)).mean() for name in ("pitch", "roll")}
     speeds = zip(commands[:, 0], e.v_x.reshape(-1, each).mean(1), strict=True)
     return row | {f"v_x_at_{x:g}": speed for x, speed in speeds if len(commands) > 1}
+
+
+def with_unit(column):
+    """A column of `overview` with its unit, for a table's head."""
+    unit = UNITS.get(column.split("_at_")[0])
+    return f"{column} [{unit}]" if unit else column
 
 
 def reached(columns, level):

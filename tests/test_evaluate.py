@@ -373,6 +373,23 @@ def test_episodes_are_played_once(runs, played):
     assert len(episodes.of_run(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
 
 
+def test_fewer_episodes_do_not_replace_more(runs, played):
+    """3 of each of two commands are kept. Then 2 of each are played and not kept, and the 3 are still there."""
+    for each in (3, 2, 3):
+        assert len(episodes.of_run(runs["flat"], TWO, each).peak) == 2 * each
+    assert played == [6, 4]
+
+
+def test_the_record_in_results_stays_as_it_is(runs, played, monkeypatch):
+    """Whoever evaluates a policy of the repository finds the episodes of its pages there afterwards."""
+    folder = runs["flat"]
+    episodes.of_run(folder, TWO, 1)
+    before = (folder / run_folder.EPISODES).read_bytes()
+    monkeypatch.setattr(episodes.sweep, "RESULTS", folder.parent)
+    assert len(episodes.of_run(folder, TWO, 4).peak) == 8
+    assert (folder / run_folder.EPISODES).read_bytes() == before
+
+
 def test_kept_episodes_equal_those_that_were_played(runs):
     """NaN included: a robot that falls or stands has no speed in the second half or no J/m."""
     first, again = (episodes.of_run(runs["flat"], TWO, 8) for _ in range(2))
@@ -411,6 +428,7 @@ def test_a_folder_without_a_policy_says_how_many_episodes_it_has(runs, played, c
     run(folder, "--episodes", 22)
     says = error_of(capsys, evaluate.main, folder, "--episodes", 33)
     assert "has 2 episodes of each" in says and "--episodes 22, not 33" in says
+    assert "config.json has the command that trains it again" in error_of(capsys, evaluate.main, "gait", folder)
 
 
 def test_a_folder_that_cannot_be_written_is_evaluated_all_the_same(runs, played, monkeypatch):
@@ -441,6 +459,8 @@ def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
     head, _, row = ([cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines())
     printed = dict(zip(head, row, strict=True))
     assert (printed["run"], printed["seed"]) == ("flat", "0")
+    assert {"power [W]", "energy [J/m]", "pitch [degrees]", "v_x_at_0 [m/s]", "fell"} <= set(printed)
+    printed = {name.split(" [")[0]: cell for name, cell in printed.items()}
     assert {name: float(printed[name]) for name in OVERVIEW} == OVERVIEW
 
 
