@@ -123,7 +123,7 @@ def check_drawing(gif):
     if sys.platform == "linux" and (gif is None or os.environ.get("MUJOCO_GL", "").lower() not in ("egl", "osmesa")):
         with warnings.catch_warnings(action="ignore"):
             if not mujoco.viewer.glfw.init():  # the viewer would end the process
-                raise ValueError("no display answers: give --gif FILE, which needs libegl1, and unset DISPLAY and MUJOCO_GL")
+                raise ValueError("no display answers: give --gif FILE, with libegl1 and without DISPLAY and MUJOCO_GL")
 
 
 def parse(argv):

@@ -245,6 +245,20 @@ def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
     assert eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual == Dual(alpha, 0)
 
 
+def test_algorithm1_processes_share_the_networks_and_no_luck(monkeypatch):
+    """Two processes: other exploration and minibatches, other environments, and the same random networks."""
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    keys, resets, learners = [], [], []
+    for index in range(2):
+        monkeypatch.setattr(jax, "process_index", lambda index=index: index)
+        envs = Probe(one), Probe(one)
+        learners.append(eipo.init_state(*envs, EIPO)[1:3])
+        resets += [env.look()[0].tobytes() for env in envs]
+        keys += [jax.random.key_data(key).tobytes() for key in eipo.iteration_keys(EIPO, 1)]
+    assert len(set(keys)) == 8 and len(set(resets)) == 4
+    assert trees_equal(*learners)
+
+
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
 def test_algorithm1_learns_in_every_branch(algo, lam):
     """One iteration moves every network, and skips no minibatch; without energy an infinite alpha is no 0 * inf."""

@@ -74,6 +74,7 @@ def test_small_planar_commands_are_zero():
     speed = np.linalg.norm(command[:, :2], axis=1)
     assert ((speed == 0) | (speed >= 0.2)).all() and (speed == 0).any() and (command[:, 2] > 0).all()
     assert 0.2 <= speed[speed > 0].min() < 0.21
+    assert (command[speed > 0, 0] < 0.2).any()  # what counts is the length of both
 
 
 def test_perfect_tracking_fills_the_grid_and_failure_keeps_it():

@@ -1,5 +1,6 @@
 """Sections IV-D and V: what is counted in the episodes of a scripted robot, and statistics whose values are known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from support import frames, handmade, make
 
 import measure
+import tasks
 from studies import statistics
 
 
@@ -77,6 +79,17 @@ def test_the_policy_that_is_measured_has_no_noise():
     params["actor"]["log_std"] = params["actor"]["log_std"] + 2
     policy, obs = measure.deterministic(params), np.array([[1.0], [2.0]], np.float32)
     assert policy(obs).tolist() == policy(obs).tolist() == [[12.0], [24.0]]
+
+
+def test_the_world_that_is_measured():
+    """D25, D42. 20 s of one command, the paper's reward over ground, ground of its own; the rest as in training."""
+    other_than_usual = dict(reward="shaped", frame="body", noise=0.5, start_spread=0.25, clip="torque", stagger=True)
+    trained = tasks.task_config("curriculum", episode_steps=300, command_steps=100, ground_seed=7, **other_than_usual)
+    length = dict(episode_steps=1000, command_steps=1000)
+    world = replace(trained, reward="paper", frame="heading", stagger=False, ground_seed=2024, **length)
+    assert measure.evaluated(trained) == world
+    other = replace(world, clip="power", roughness=(0.125, 0.125), start_spread=0.0)
+    assert measure.evaluated(trained, "power", 0.125, nominal=True) == other
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
