@@ -10,6 +10,8 @@ normalised  the advantages of each stream are normalised before they are mixed, 
 fixed       as normalised, with weights 1.5 : 1 for ever; for --algo ppo. The lab's code may have amounted to this
 noisy       the exploration noise, which starts at 1, never falls below a standard deviation of 0.6. It asks whether a
             policy stands for long because it no longer tries a step
+own         pi has a curriculum of commands of its own. Here the two policies share one (D23), so that the successes of
+            pi_prime also make the commands of pi harder. It asks whether pi stands for long because of that
 
 Other readings need no code: `--ent-coef 0.01` is the lab's entropy bonus, `--clip torque` is Eq. (9) as printed, and
 `--lr-alpha 2 --dampening-alpha 0.99` lets alpha move by 1 % of 200 in an iteration.
@@ -23,6 +25,7 @@ import jax.numpy as jnp
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import curriculum
 import eipo
 import ppo
 import train
@@ -76,15 +79,30 @@ def exchange(env, env_prime, cfg, state=None):
         yield eipo.sound(eipo.State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
 
 
+def with_own_commands(make_envs):
+    """`train.make_envs`, where each environment learns by itself which commands its robots are ready for."""
+
+    def made(*args):
+        envs = make_envs(*args)
+        for env in envs:
+            env.state.weights = curriculum.initial_weights()
+        return envs
+
+    return made
+
+
 def main(reading, argv):
     """Train with one reading; returns the exit status."""
-    if reading not in ("exchange", "normalised", "fixed", "noisy"):
-        print(f"readings.py: unknown reading {reading!r}: choose exchange, normalised, fixed or noisy", file=sys.stderr)
+    readings = ("exchange", "normalised", "fixed", "noisy", "own")
+    if reading not in readings:
+        print(f"readings.py: unknown reading {reading!r}: choose one of {', '.join(readings)}", file=sys.stderr)
         return 2
     if reading == "exchange":
         eipo.eipo = exchange
     elif reading == "noisy":
         ppo.LOG_STD_RANGE = math.log(0.6), ppo.LOG_STD_RANGE[1]
+    elif reading == "own":
+        train.make_envs = with_own_commands(train.make_envs)
     else:
         eipo.mix = dict(normalised=mix_normalised, fixed=mix_fixed)[reading]
     return train.main(argv)

@@ -9,6 +9,10 @@ import jax.numpy as jnp
 import pytest
 from support import ROOT, TINY
 
+import eipo
+import tasks
+import train
+
 sys.path.append(str(ROOT / "results"))
 import readings
 
@@ -38,6 +42,15 @@ def trained(tmp_path, *flags):
 def test_noisy_keeps_the_noise_at_its_floor(tmp_path):
     """It starts at exp(-3) = 0.05, below the floor of 0.6, so the first step of Adam clips it there."""
     assert float(trained(tmp_path, "noisy", "--log-std", "-3")[-1]["std"]) == pytest.approx(0.6, abs=0.01)
+
+
+def test_own_curricula_are_two():
+    """The usual environments hold one array of weights, and those of this reading hold two, 1.8 % of each at first."""
+    env_cfg, cfg = tasks.task_config("curriculum", roughness=(0.0, 0.0)), eipo.Config(num_envs=4)
+    shared = [env.state.weights for env in train.make_envs(env_cfg, cfg, 1)]
+    own = [env.state.weights for env in readings.with_own_commands(train.make_envs)(env_cfg, cfg, 1)]
+    assert shared[0] is shared[1] and own[0] is not own[1]
+    assert [weights.sum() for weights in own] == [16, 16]
 
 
 def test_exchange_weighs_what_it_borrows(tmp_path):
