@@ -373,6 +373,12 @@ def test_episodes_are_played_once(runs, played):
     assert len(episodes.of_run(folder, TWO, 3).peak) == 6 and played == [4, 4, 4, 4, 6]
 
 
+def test_a_command_that_nobody_would_use_is_refused(runs, played, capsys):
+    """A table or a figure has its own commands: to drop the flag in silence would show those of others."""
+    assert "gait and joints" in error_of(capsys, evaluate.main, runs["flat"], "--command", 0.5)
+    assert played == []
+
+
 def test_fewer_episodes_do_not_replace_more(runs, played):
     """3 of each of two commands are kept. Then 2 of each are played and not kept, and the 3 are still there."""
     for each in (3, 2, 3):
