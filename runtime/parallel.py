@@ -6,6 +6,7 @@ them: Gloo between CPUs, NCCL between GPUs. A process takes the first device tha
 """
 
 import io
+import socket
 from functools import lru_cache, wraps
 
 import jax
@@ -36,9 +37,11 @@ def join(coordinator, processes, process):
     jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM, at which `train` saves and stops
     times = dict(initialization_timeout=JOIN, heartbeat_timeout_seconds=SILENCE, shutdown_timeout_seconds=JOIN)
     try:
+        if process == 0:
+            socket.create_server(("", int(port))).close()  # JAX may crash without a word where the port is taken
         jax.distributed.initialize(coordinator, processes, process, **times)
-    except (ValueError, RuntimeError) as error:
-        raise ValueError(f"{coordinator} cannot be used, is the port taken? JAX says: {error}") from None
+    except (ValueError, RuntimeError, OSError, OverflowError) as error:
+        raise ValueError(f"{coordinator} cannot be used, is the port taken? {error}") from None
     why[0] = LOST
 
 
