@@ -78,7 +78,7 @@ def report(row, first, iterations):
     line = (
         f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {task:.2f}  "
         f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
-        + (f"  gap {row['gap']:+.2f}" if "gap" in row else "")
+        + (f"  share {row['task_share']:.2f}  gap {row['gap']:+.2f}" if "gap" in row else "")
         + "".join(f"  {name} {row[name]:.0f}" for name in FAULTS if row.get(name))
     )
     if sys.stdout.isatty():
@@ -103,13 +103,23 @@ def draw_curves(folder):
 
     columns = read(folder)
     columns |= {name.replace("task_reward", "reward"): x for name, x in columns.items() if "task_reward" in name}
-    panels = dict(reward="task reward per step", v_x="speed ahead [m/s]", power="power [W]",
-                  gap="J(pi) - J(pi')", alpha="alpha", kl="KL per iteration")  # fmt: skip
-    figure = Figure(figsize=(12, 6), layout="constrained")
-    for axes, (name, title) in zip(figure.subplots(2, 3).flat, panels.items(), strict=True):
+    panels = dict(
+        reward="task reward per step",
+        v_x="speed ahead [m/s]",
+        power="power [W]",
+        std="exploration noise",
+        gap="gap J(pi) - J(pi'): alpha rises below 0",
+        alpha="alpha, the weight of the task",
+        task_share="task's share of pi's objective",
+        kl="KL divergence of an update",
+    )
+    figure = Figure(figsize=(14, 6), layout="constrained")
+    for axes, (name, title) in zip(figure.subplots(2, 4).flat, panels.items(), strict=True):
         for column, label in ((name, "pi"), ("prime_" + name, "pi'")):
             if column in columns and np.isfinite(columns[column]).any():
                 axes.plot(columns["steps"] / 1e6, columns[column], label=label, linewidth=0.8)
+        if name == "gap":
+            axes.axhline(0, color="black", linewidth=0.8)
         axes.set(title=title, xlabel="million steps")
         axes.grid(alpha=0.3)
     figure.axes[0].legend()

@@ -11,7 +11,7 @@ def check_learner(cfg, processes=1):
     policies, widths = 2 if cfg.algo == "eipo" else 1, cfg.hidden + cfg.hidden_estimator
     shares = policies * processes
     ranges = dict.fromkeys(("gamma", "gae_lambda", "momentum_alpha", "dampening_alpha"), (0, 1))
-    ranges |= dict(seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE, num_epochs=(1, 1000))
+    ranges |= dict(lr_alpha=(0, 1e4), seed=(0, 2**31 - 1), log_std=LOG_STD_RANGE, num_epochs=(1, 1000))
     for field in fields(cfg):
         x, (low, high) = getattr(cfg, field.name), ranges.get(field.name, (int(field.type is int), 1e9))
         if type(x) in (int, float) and not low <= x <= high:  # nan as well

@@ -6,7 +6,7 @@ its other cost or reward.
 
 import shlex
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from itertools import compress
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def by_label(folders, task):
     for folder, (env_cfg, cfg) in configs.items():
         name = kind(env_cfg, cfg)
         name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
-        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(cfg)
+        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(read_by(cfg))
     for name, runs in groups.items():
         (first, settings), *others = runs.items()
         for folder, other in others:
@@ -68,7 +68,14 @@ def kind(env_cfg, cfg):
     """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost or reward."""
     usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam", eipo.Config.lam)
     name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if usual else f"EIPO from {cfg.lam:g}"
+    name += f" at eta_alpha {cfg.lr_alpha:g}" if read_by(cfg).lr_alpha != eipo.Config.lr_alpha else ""
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+
+
+def read_by(cfg):
+    """cfg, where PPO has the default steps of alpha, which it does not read: runs that differ in them are the same."""
+    steps = {f.name: f.default for f in fields(cfg) if f.name.endswith("_alpha")}
+    return replace(cfg, **steps) if cfg.algo == "ppo" else cfg
 
 
 def color(name):
@@ -107,7 +114,8 @@ def progress(argv):
         return "running"
     kept = RESULTS / env_cfg.task / folder.name
     with suppress(ValueError):  # nothing was kept there, or something of another version
-        if run_folder.load_config(kept) == (env_cfg, cfg) and last(kept) >= cfg.iterations:
+        kept_env, kept_cfg = run_folder.load_config(kept)
+        if (kept_env, read_by(kept_cfg)) == (env_cfg, read_by(cfg)) and last(kept) >= cfg.iterations:
             return "done"
     if not (folder / "checkpoint.npz").exists():
         return ""

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from support import DAMAGES, LAMBDAS, ROOT, TINY, change_npz, contents, error_of, full_disk, make_run
 
+import eipo
 import evaluate
 import measure
 import rewards
@@ -787,8 +788,9 @@ def test_ctrl_c_is_no_traceback(runs, monkeypatch):
 
 
 @pytest.fixture
-def sweep(monkeypatch, capsys):
-    """Ask for the commands of a sweep; returns the lines."""
+def sweep(monkeypatch, capsys, tmp_path):
+    """Ask for the commands of a sweep where no run is kept yet; returns the lines."""
+    monkeypatch.setattr(evaluate.sweep, "RESULTS", tmp_path / "results")
     monkeypatch.setattr(flags, "describe", functools.cache(flags.describe))  # reads the source again for each line
 
     def ask(*argv):
@@ -877,9 +879,8 @@ def test_runs_that_are_running_are_left_out(sweep, checkpoint):
     assert len(sweep("fig6")) == len(every)
 
 
-def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
+def test_a_run_that_results_keep_is_done(sweep, tmp_path):
     """Of four iterations, every second row is kept. Other settings, or fewer iterations, are another run."""
-    monkeypatch.setattr(evaluate.sweep, "RESULTS", tmp_path / "results")
     every = sweep("fig6", "--iterations", 4)
     folder = fake_run(every[0], 4)
     (folder / "metrics.csv").write_text("iteration\n2\n4\n")
@@ -893,18 +894,37 @@ def test_a_run_that_results_keep_is_done(sweep, monkeypatch, tmp_path):
     assert len(sweep("fig6", "--iterations", 4)) == 6
 
 
+def test_ppo_of_another_step_of_alpha_is_the_same_run(sweep, tmp_path):
+    """PPO's alpha stands still, so its runs with the paper's step are those of ours. EIPO's are not."""
+    every = sweep("fig2", "--iterations", 4)
+    for line in every[2:4]:  # EIPO's last seed and the first of PPO(0.005)
+        folder = fake_run(f"{line} --lr-alpha 0.01 --momentum-alpha 0.99", 4)
+        kept = tmp_path / "results" / "flat" / folder.name
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        folder.rename(kept)
+    assert sweep("fig2", "--iterations", 4) == [*every[:3], *every[4:]]
+
+
+def test_eipo_of_another_step_of_alpha_has_a_name_of_its_own():
+    """Two rules in one figure would otherwise be one line of it. PPO reads no step of alpha."""
+    world, printed = tasks.task_config("flat"), eipo.Config(lr_alpha=0.01, momentum_alpha=0.99)
+    assert evaluate.sweep.kind(world, eipo.Config()) == "EIPO"
+    assert evaluate.sweep.kind(world, printed) == "EIPO at eta_alpha 0.01"
+    assert evaluate.sweep.kind(world, replace(printed, algo="ppo")) == "PPO(0.005)"
+
+
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):
-    """Finished is what has as many iterations as are asked for: by default 4000 of V-A."""
-    folder = fake_run(sweep("fig2")[-1], 3999)
+    """Finished is what has as many iterations as are asked for: by default 600."""
+    folder = fake_run(sweep("fig2")[-1], 599)
     assert sweep("fig2")[-1].endswith("--lam 0 --seed 2 --resume")
-    (folder / "metrics.csv").write_text("iteration\n1\n4000\n")  # rows may be lost
+    (folder / "metrics.csv").write_text("iteration\n1\n600\n")  # rows may be lost
     assert len(sweep("fig2")) == 8
-    assert sweep("fig2", "--iterations", 4001)[-1].endswith("--lam 0 --seed 2 --iterations 4001 --resume")
+    assert sweep("fig2", "--iterations", 601)[-1].endswith("--lam 0 --seed 2 --iterations 601 --resume")
 
 
 def test_a_run_of_other_settings_is_one_line(sweep, capsys):
     """What lies in the run folder is not the run that the figure needs."""
-    fake_run(sweep("fig2", "--noise", 0)[0], 4000)
+    fake_run(sweep("fig2", "--noise", 0)[0], 600)
     assert "--noise" in error_of(capsys, evaluate.main, "--commands", "fig2")
 
 

@@ -383,6 +383,15 @@ def test_the_command_is_the_one_that_was_given(monkeypatch, typed, argv, whole, 
     assert train.command_line(argv) == shlex.split(expected)
 
 
+def test_the_console_shows_the_multiplier_at_work(capsys):
+    """What weighs the task, how much that counts beside the energy, and what moves it. PPO has no gap to show."""
+    row = dict(iteration=100, time_s=1, reward=0, v_x=0, power=0, alpha=290.12, task_share=0.857, steps_per_s=1)
+    metrics.report(row | dict(gap=-0.194), row, 600)
+    assert "  alpha 290.1  share 0.86  gap -0.19" in capsys.readouterr().out
+    metrics.report(row, row, 600)
+    assert "share" not in capsys.readouterr().out
+
+
 def test_the_time_left_leaves_compilation_out(capsys):
     """100 s for the first iteration and 1 s for each of the next 99: the last 600 take ten minutes, not 20."""
     numbers = dict(reward=0, v_x=0, power=0, alpha=0, steps_per_s=1)
