@@ -8,8 +8,9 @@ without pi_prime. What they call follows in the order of the lines, and `ppo.py`
     alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and starts at lam (D6)
     T, N            steps of a rollout and number of environments; `networks.py` defines the widths D, P, A and K
 
-An environment is anything with the methods and sizes of `runtime.mirror.EvenOdd`: no robot or file is known here.
-The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
+An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size` and `action_size`, as
+`go1_env.Go1Env` documents them. No robot, no file and no other process is known here. The loop over iterations is plain
+Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
 """
 
 from dataclasses import dataclass
@@ -21,10 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from networks import log_prob, policy, value
-from ppo import Learner, init_learner, ppo_update
-from runtime.parallel import average, own_key, own_seed
-
-GIVE_UP = 10  # [ours] training ends with an error after so many iterations without one finite gradient (D44)
+from ppo import Learner, global_mean, init_learner, ppo_update
 
 
 @dataclass(frozen=True)
@@ -62,18 +60,19 @@ class Dual(NamedTuple):
     """The multiplier and its momentum."""
 
     alpha: float
-    velocity: float  # what momentum has added up, see `step_alpha`; no velocity of the robot
+    momentum: float  # the sum of past gradients, see `step_alpha`
 
 
 class State(NamedTuple):
     """Everything that an iteration depends on, apart from the environments' own state."""
 
     iteration: int
+    key: jax.Array  # (2,) the random key from which `iteration_keys` makes those of every iteration
     pi: Learner
     pi_prime: Learner | None  # None for PPO
     dual: Dual
-    at: tuple  # obs (N, D), privileged (N, P) with which pi's next rollout begins
-    at_prime: tuple | None  # None for PPO
+    start: tuple  # obs (N, D), privileged (N, P) with which pi's next rollout begins
+    start_prime: tuple | None  # None for PPO
 
 
 class Rollout(NamedTuple):
@@ -90,12 +89,11 @@ class Rollout(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What lines 8 and 10 estimate from a rollout. A sample that is not finite is replaced by one beside it (D44)."""
+    """What lines 8 and 10 estimate from a rollout."""
 
     advantage: jax.Array  # (T, N, K) of each stream, never normalised
     target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
     log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
-    sample: jax.Array  # (T, N) which sample stands here: 0 to T N - 1 in order, where none was replaced
 
 
 # ---- Algorithm 1 ----
@@ -110,69 +108,61 @@ def eipo(env, env_prime, cfg, state=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = sound(state or init_state(env, env_prime, cfg), cfg)
+    state = state or init_state(env, env_prime, cfg)
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
-    at, at_prime = state.at, state.at_prime
+    start, start_prime = state.start, state.start_prime
     for iteration in range(state.iteration + 1, cfg.iterations + 1):  # Alg.1 L5
-        key, key_prime, key_update, key_update_prime = iteration_keys(cfg, iteration)
-        tau, at, log = rollout(env, pi.params, at, key, cfg)  # Alg.1 L6
-        tau_prime, at_prime, log_prime = rollout(env_prime, pi_prime.params, at_prime, key_prime, cfg)  # Alg.1 L7
+        key, key_prime, key_update, key_update_prime = iteration_keys(state.key, iteration)
+        tau, start, log = rollout(env, pi.params, start, key, cfg)  # Alg.1 L6
+        tau_prime, start_prime, log_prime = rollout(  # Alg.1 L7
+            env_prime, pi_prime.params, start_prime, key_prime, cfg
+        )
 
         est = estimate(pi.params, tau, cfg)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
         pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)  # Alg.1 L9
 
         est_prime = estimate(pi_prime.params, tau_prime, cfg)  # Alg.1 L10
-        task = est_prime.advantage[..., 0]
-        pi_prime, trained_prime = ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)  # Alg.1 L11
+        objective_prime = est_prime.advantage[..., 0]
+        pi_prime, trained_prime = ppo_update(  # Alg.1 L11
+            pi_prime, tau_prime, est_prime, objective_prime, key_update_prime, cfg
+        )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        metrics = summary(iteration, est, dual, cfg) | dict(gap=gap) | log | trained
+        metrics = summary(est, dual, cfg) | dict(gap=gap) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
-        yield sound(State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
+        yield State(iteration, state.key, pi, pi_prime, dual, start, start_prime), metrics
     # Alg.1 L14  end for
 
 
 def ppo(env, cfg, state=None):
     """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
-    state = sound(state or init_state(env, None, cfg), cfg)
-    pi, dual, at = state.pi, state.dual, state.at
+    state = state or init_state(env, None, cfg)
+    pi, dual, start = state.pi, state.dual, state.start
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
-        key, _, key_update, _ = iteration_keys(cfg, iteration)
-        tau, at, log = rollout(env, pi.params, at, key, cfg)
+        key, _, key_update, _ = iteration_keys(state.key, iteration)
+        tau, start, log = rollout(env, pi.params, start, key, cfg)
         est = estimate(pi.params, tau, cfg)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
         pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
-        state = sound(State(iteration, pi, None, dual, at, None), cfg)
-        yield state, summary(iteration, est, dual, cfg) | log | trained
+        yield State(iteration, state.key, pi, None, dual, start, None), summary(est, dual, cfg) | log | trained
 
 
-def sound(state, cfg):
-    """state. Raises ValueError, in one line, if training cannot go on from it (D44)."""
-    if state.pi_prime and not np.isfinite(state.dual).all():
-        raise ValueError(f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}")
-    for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
-        if learner and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches:
-            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and costs finite?")
-    return state
-
-
-def iteration_keys(cfg, iteration):
+def iteration_keys(key, iteration):
     """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of pi and pi_prime."""
-    return jax.random.split(own_key(jax.random.fold_in(jax.random.key(cfg.seed), iteration)), 4)
+    return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(iteration, est, dual, cfg):
-    """Metrics of an iteration: environment steps so far, J(pi), alpha, and the task's share of pi's objective.
+def summary(est, dual, cfg):
+    """Metrics of an iteration: J(pi), alpha, and the task's share of pi's objective.
 
     task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer matters.
     """
-    weights = np.array([dual.alpha * cfg.lam if cfg.lam else 1.0, float(cfg.lam > 0)])
-    task, cost = average(est.advantage.std((0, 1))) * weights
-    steps = iteration * cfg.num_steps * cfg.num_envs
-    return dict(steps=steps, J=estimate_J(est), alpha=dual.alpha, task_share=task / (task + cost + 1e-30))
+    task, cost = est.advantage.std((0, 1))
+    share = 1.0 if cfg.lam == 0 else dual.alpha * cfg.lam * task / (dual.alpha * cfg.lam * task + cost + 1e-30)
+    return dict(J=estimate_J(est), alpha=dual.alpha, task_share=share)
 
 
 # ---- L3, L4: the start ----
@@ -180,17 +170,18 @@ def summary(iteration, est, dual, cfg):
 
 def init_state(env, env_prime, cfg):
     """The State before the first iteration: random policies, alpha_0, reset environments. env_prime: None for PPO."""
+    base = jax.random.PRNGKey(cfg.seed)
 
-    def start(env, key, heads, seed):
-        obs, info = env.reset(own_seed(seed))
+    def begin(env, key, heads, seed):
+        obs, info = env.reset(seed)
         sizes = env.obs_size, env.privileged_size, env.action_size
         return init_learner(key, sizes, heads, cfg), (obs, info["privileged"])
 
-    key, key_prime = jax.random.split(jax.random.fold_in(jax.random.key(cfg.seed), 0))
-    pi, at = start(env, key, 2, 2 * cfg.seed)
-    pi_prime, at_prime = (None, None) if env_prime is None else start(env_prime, key_prime, 1, 2 * cfg.seed + 1)
+    key, key_prime = jax.random.split(jax.random.fold_in(base, 0))
+    pi, start = begin(env, key, 2, 2 * cfg.seed)
+    pi_prime, start_prime = (None, None) if env_prime is None else begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
     alpha = cfg.alpha0 if cfg.alpha0 is not None else 1 / cfg.lam if cfg.lam else np.inf
-    return State(0, pi, pi_prime, Dual(alpha, 0.0), at, at_prime)
+    return State(0, base, pi, pi_prime, Dual(alpha, 0.0), start, start_prime)
 
 
 # ---- L6, L7: rollouts ----
@@ -203,30 +194,29 @@ def act(params, obs, key, t):
     return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
 
 
-def rollout(env, params, at, key, cfg):
+def rollout(env, params, start, key, cfg):
     """Take T steps in env with the policy, from where env is.
 
-    at: (obs, privileged) of the N environments now
-    returns Rollout, the new `at`, and the log: means of the environment's float columns, counts of its boolean ones
+    start: (obs, privileged) of the N environments now
+    returns Rollout, the next `start`, and the log: means of the environment's float columns, counts of its boolean ones
     """
     heads = len(params["critic"][-1].bias)
     steps, finals, logs = [], [], []
     for t in range(cfg.num_steps):
-        action = np.asarray(act(params, at[0], key, t))
+        action = np.asarray(act(params, start[0], key, t))
         obs, reward, terminated, truncated, info = env.step(action)
         streams = cfg.reward_scale * np.stack([reward, cfg.lam * info["cost"]], -1)[:, :heads]
-        steps.append((*at, action, streams.astype(np.float32), terminated, truncated))
+        steps.append((*start, action, streams.astype(np.float32), terminated, truncated))
         finals.append((info["final_obs"][truncated], info["final_privileged"][truncated]))
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
-        at = obs, info["privileged"]
+        start = obs, info["privileged"]
     final = [np.concatenate(column) for column in zip(*finals, strict=True)]
     padding = -len(final[0]) % len(obs)  # to whole multiples of N: the shapes that JAX compiles for are few
     final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
-    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), at, final)
+    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), start, final)
     columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
-    counts = jax.process_count()  # times that, because the mean over the processes shall be their sum
-    log = {name: float(counts * c.sum() if c.dtype == bool else c.mean()) for name, c in columns.items()}
-    return tau, at, average(log)
+    log = {name: int(c.sum()) if c.dtype == bool else float(c.mean()) for name, c in columns.items()}
+    return tau, start, log
 
 
 # ---- L8, L10, L12: estimates ----
@@ -243,12 +233,7 @@ def estimate(params, tau, cfg):
         next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
     advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
     mean, std, _ = policy(params, tau.obs)
-    likely = log_prob(mean, std, tau.action)
-    finite = jnp.isfinite(advantage).all(-1) & jnp.isfinite(likely)
-    sample = jnp.where(finite.ravel(), jnp.arange(finite.size), finite.argmax())
-    sample = jax.lax.cummax(sample).reshape(finite.shape)  # the last finite one, or the first where none came before
-    at = jnp.unravel_index(sample, finite.shape)
-    return Estimate(advantage[at], (advantage + values)[at], likely[at], sample)
+    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
@@ -282,7 +267,7 @@ def estimate_J(estimate):
 
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
-    return average(estimate.target[..., 0].mean())
+    return global_mean(estimate.target[..., 0])
 
 
 # ---- L13: the multiplier ----
@@ -297,6 +282,6 @@ def step_alpha(dual, gap, cfg):
     if not np.isfinite(gap):
         return dual
     gradient = float(np.clip(-gap, -cfg.clip_alpha, cfg.clip_alpha))
-    velocity = cfg.momentum_alpha * dual.velocity + (1 - cfg.dampening_alpha) * gradient
-    alpha = dual.alpha + cfg.lr_alpha * velocity
-    return Dual(alpha, velocity) if alpha > 0 else Dual(0.0, 0.0)
+    momentum = cfg.momentum_alpha * dual.momentum + (1 - cfg.dampening_alpha) * gradient
+    alpha = dual.alpha + cfg.lr_alpha * momentum
+    return Dual(alpha, momentum) if alpha > 0 else Dual(0.0, 0.0)

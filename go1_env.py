@@ -55,14 +55,16 @@ class Go1Env:
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
     robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
+    stream:   which of the independent streams of random numbers a seed stands for, from 0; processes have one each
     Raises ValueError for what runtime.limits.check_world refuses.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
 
-    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None):
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None, stream=0):
         check_world(num_envs, env_cfg, threads)
+        self.stream = (stream,) if stream else ()
         self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
         obs_mirror = np.kron(np.eye(env_cfg.history), FRAME_MIRROR)
@@ -86,11 +88,11 @@ class Go1Env:
     def reset(self, seed, command=None):
         """Start a new episode for every robot; returns obs as `step` does, and of its info only `privileged`.
 
-        seed: int or numpy SeedSequence
+        seed: int
         command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes; None: commands are drawn
         """
         self.state.given[:] = np.nan if command is None else command
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=self.stream))
         self.state.weights[:], self.state.tracked[:] = curriculum.initial_weights(), 0.0
         self._reset(np.arange(self.num_envs))
         if self.env_cfg.stagger:

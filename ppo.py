@@ -56,23 +56,23 @@ def optimizer(cfg):
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
     """All epochs and minibatches of one iteration; returns the new Learner and the log.
 
-    log: the means of what `ppo_loss` logs; lr; how many gradients were skipped since the start; samples dropped now
+    log: the means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
 
     advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
     """
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
                 target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
-    return ppo_epochs(learner, data, estimate.sample, key, cfg)
+    return ppo_epochs(learner, data, key, cfg)
 
 
 @compiled
-def ppo_epochs(learner, data, sample, key, cfg):
+def ppo_epochs(learner, data, key, cfg):
     """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the processes."""
-    advantage = data["advantage"] - average(data["advantage"].mean())
-    advantage = advantage / (jnp.sqrt(average(jnp.square(advantage).mean())) + 1e-8)
-    size, sample = advantage.size, sample.ravel()
+    advantage = data["advantage"] - global_mean(data["advantage"])
+    advantage = advantage / (jnp.sqrt(global_mean(jnp.square(advantage))) + 1e-8)
+    size = advantage.size
     data = {name: x.reshape(size, *x.shape[2:]) for name, x in (data | dict(advantage=advantage)).items()}
-    orders = jax.vmap(lambda k: jax.random.permutation(k, sample))(jax.random.split(key, cfg.num_epochs))
+    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(jax.random.split(key, cfg.num_epochs))
     minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
     def step(learner, chosen):
@@ -85,9 +85,12 @@ def ppo_epochs(learner, data, sample, key, cfg):
 
     learner, log = jax.lax.scan(step, learner, minibatches)
     log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
-    dropped = average(jax.process_count() * (sample != jnp.arange(size)).sum())
-    log |= dict(dropped=dropped)  # samples of all processes; `skipped` are minibatches, since the start
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
+
+
+def global_mean(x):
+    """The mean of an array (...,) over all samples, those of other processes included."""
+    return average(x.mean())
 
 
 def ppo_loss(params, batch, cfg):

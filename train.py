@@ -20,12 +20,15 @@ if __name__ == "__main__":
     stop_imports()
 
 import jax
+import numpy as np
 
 import eipo
 import go1_env
 from runtime import limits, metrics, mirror, parallel, policy_file, run_folder
 from runtime.flags import CONFIGS, Options, parse, settle
 from runtime.settings import check_learner, tuples
+
+GIVE_UP = 10  # [ours] training ends with an error after so many iterations without one finite gradient (D44)
 
 
 def settle_resumed(folder, given_env, given_learner):
@@ -99,6 +102,15 @@ def save(folder, state, envs, cfg, params):
         metrics.draw(folder, envs[0].state.weights if envs[0].task.curriculum else None)
 
 
+def check_learned(state, cfg):
+    """Raise ValueError, in one line, if training cannot go on from state: nothing of it is finite any more (D44)."""
+    if state.pi_prime and not np.isfinite(state.dual).all():
+        raise ValueError(f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}")
+    for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
+        if learner and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches:
+            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and costs finite?")
+
+
 def meet(asked, weights, before):
     """Whether any process was asked to stop. All get one curriculum: the weights `before` and what each has added."""
     if jax.process_count() == 1:
@@ -112,7 +124,7 @@ def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
     share = cfg.num_envs // policies // jax.process_count()
-    envs = [go1_env.Go1Env(share, env_cfg, threads) for _ in range(policies)]
+    envs = [go1_env.Go1Env(share, env_cfg, threads, stream=jax.process_index()) for _ in range(policies)]
     envs[-1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
     return envs
 
@@ -130,6 +142,7 @@ def train(folder, env_cfg, cfg, options, command, stop):
     envs = make_envs(env_cfg, cfg, options.threads)
     env, env_prime = (*(mirror.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
     state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
+    state = state._replace(key=parallel.own_key(state.key))
     if options.resume:
         state = run_folder.load_checkpoint(checkpoint, state, envs)
     if lead:
@@ -139,10 +152,13 @@ def train(folder, env_cfg, cfg, options, command, stop):
     weights, before = envs[0].state.weights, envs[0].state.weights.copy()
     run = eipo.eipo(env, env_prime, cfg, state) if env_prime else eipo.ppo(env, cfg, state)
     for state, numbers in run:
+        check_learned(state, cfg)
         stop.worth_saving = True
+        steps = state.iteration * cfg.num_steps * cfg.num_envs
+        numbers = dict(steps=steps) | parallel.pooled(numbers)
         asked = meet(stop.asked, weights, before)
         if lead:
-            row = log.row(state.iteration, {name: float(x) for name, x in numbers.items()})
+            row = log.row(state.iteration, numbers)
             metrics.report(row, first := first or row, cfg.iterations)
         if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
             if lead:

@@ -51,19 +51,18 @@ def mix_fixed(advantage, alpha, lam):
 def exchange(env, env_prime, cfg, state=None):
     """`eipo.eipo`, in which pi learns from both rollouts. The comments name the lines that differ."""
     state = state or eipo.init_state(env, env_prime, cfg)
-    pi, pi_prime, dual, at, at_prime = state[1:]
+    _, _, pi, pi_prime, dual, start, start_prime = state
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
-        key, key_prime, key_update, key_update_prime = eipo.iteration_keys(cfg, iteration)
-        tau, at, log = eipo.rollout(env, pi.params, at, key, cfg)
+        key, key_prime, key_update, key_update_prime = eipo.iteration_keys(state.key, iteration)
+        tau, start, log = eipo.rollout(env, pi.params, start, key, cfg)
         both_heads = pi_prime.params | dict(critic=pi.params["critic"])  # L7: tau' keeps the cost as well, for pi
-        tau_both, at_prime, log_prime = eipo.rollout(env_prime, both_heads, at_prime, key_prime, cfg)
+        tau_both, start_prime, log_prime = eipo.rollout(env_prime, both_heads, start_prime, key_prime, cfg)
         tau_prime = tau_both._replace(reward=tau_both.reward[..., :1])
 
         est, est_prime = eipo.estimate(pi.params, tau, cfg), eipo.estimate(pi_prime.params, tau_prime, cfg)
         borrowed = eipo.estimate(pi.params, tau_both, cfg)  # L8: by pi's critic
         weight = jnp.minimum(1.0, jnp.exp(borrowed.log_prob - est_prime.log_prob))
         both = eipo.Estimate(*(jnp.concatenate(pair, 1) for pair in zip(est, borrowed, strict=True)))
-        both = both._replace(sample=jnp.arange(both.log_prob.size).reshape(both.log_prob.shape))
         tau_pi = eipo.Rollout(*(jnp.concatenate(pair, 1) for pair in zip(tau[:6], tau_both[:6], strict=True)),
                               tau.after, tau.final)  # fmt: skip
         objective = normalised(eipo.mix(both.advantage, dual.alpha, cfg.lam))
@@ -73,10 +72,10 @@ def exchange(env, env_prime, cfg, state=None):
         task = est_prime.advantage[..., 0]
         pi_prime, trained_prime = ppo.ppo_update(pi_prime, tau_prime, est_prime, task, key_update_prime, cfg)
         gap = float(eipo.estimate_J(est) - eipo.estimate_J(est_prime))
-        metrics = eipo.summary(iteration, est, dual, cfg) | dict(gap=gap, borrowed=weight.mean()) | log | trained
+        metrics = eipo.summary(est, dual, cfg) | dict(gap=gap, borrowed=weight.mean()) | log | trained
         metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
         dual = eipo.step_alpha(dual, gap, cfg)
-        yield eipo.sound(eipo.State(iteration, pi, pi_prime, dual, at, at_prime), cfg), metrics
+        yield eipo.State(iteration, state.key, pi, pi_prime, dual, start, start_prime), metrics
 
 
 def with_own_commands(make_envs):

@@ -10,7 +10,7 @@ import curriculum
 from runtime import run_folder
 from runtime.interrupt import say
 
-FAULTS = ("dropped", "skipped", "prime_dropped", "prime_skipped", "ended_diverged")  # shown only if they are not 0
+FAULTS = ("skipped", "prime_skipped", "ended_diverged")  # shown only if they are not 0
 
 
 class Log:

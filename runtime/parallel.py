@@ -1,8 +1,8 @@
 """One run on several processes: each steps its own share of the environments, and all hold the same learner.
 
-On one process `average` and `own_*` return what they get, `gather` a list of it, and `compiled` is `jax.jit`. Several
-keep their learners equal to the bit, because every gradient is averaged before it is used. `jax.distributed` connects
-them: Gloo between CPUs, NCCL between GPUs. A process takes the first device that it sees.
+On one process `average`, `pooled` and `own_key` return what they get, `gather` a list of it, and `compiled` is
+`jax.jit`. Several keep their learners equal to the bit, because every gradient is averaged before it is used.
+`jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process takes the first device that it sees.
 """
 
 import io
@@ -46,13 +46,8 @@ def join(coordinator, processes, process):
 
 
 def own_key(key):
-    """A random key of this process."""
-    return key if jax.process_count() == 1 else jax.random.fold_in(key, jax.process_index())
-
-
-def own_seed(seed):
-    """A seed of this process, for NumPy."""
-    return seed if jax.process_count() == 1 else np.random.SeedSequence(seed, spawn_key=(jax.process_index(),))
+    """A random key of this process; the first process keeps the one that it is given."""
+    return jax.random.fold_in(key, jax.process_index()) if jax.process_index() else key
 
 
 def average(tree):
@@ -62,6 +57,12 @@ def average(tree):
     numbers, unravel = ravel_pytree(jax.tree.map(jnp.float32, tree))  # one message for all
     inside = isinstance(numbers, jax.core.Tracer)
     return unravel(jax.lax.pmean(numbers, *AXIS) if inside else jnp.mean(all_of(numbers), 0))
+
+
+def pooled(log):
+    """A dict of numbers of every process as one: means of what is float, sums of what is int, which counts."""
+    counts = {name: jax.process_count() if isinstance(x, int) else 1 for name, x in log.items()}
+    return {name: float(x) * counts[name] for name, x in average(log).items()}
 
 
 def gather(arrays):

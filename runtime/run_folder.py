@@ -162,7 +162,8 @@ def save_checkpoint(path, state, envs, cfg):
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), jax_threads=os.environ.get(JAX_THREADS))
     settings |= dict(processes=jax.process_count()) if jax.process_count() > 1 else {}
     arrays = checkpoint_arrays(state, envs)
-    others = parallel.gather({name: x for name, x in arrays.items() if name.startswith(("env", "state.at"))})[1:]
+    own = ("env", "state.key", "state.start")
+    others = parallel.gather({name: x for name, x in arrays.items() if name.startswith(own)})[1:]
     arrays |= {f"{i}/{name}": x for i, own in enumerate(others, 1) for name, x in own.items()}
     if jax.process_index() == 0:
         replace_file(path, lambda file: np.savez(file, **arrays, settings=json.dumps(settings)))

@@ -416,11 +416,20 @@ def test_seeds(task):
     env, used, other = (make(3, task=task, seed=seed, noise=1.0) for seed in (7, 1, 8))
     still(used, 3)
     used.state.weights[:], used.state.tracked[:] = 1.0, 1000.0
-    used.reset(np.random.SeedSequence(7))
-    env.reset(np.random.SeedSequence(7))
+    used.reset(7)
     actions = random_actions(env, 4)
     ours = run(env, actions)
     assert same_bits(ours, run(used, actions)) and not same_bits(ours, run(other, actions))
+
+
+def test_streams_of_one_seed_share_no_luck():
+    """Each process of a run has its own; the first one has the numbers of a run on one process."""
+    poses = []
+    for stream in ({}, dict(stream=0), dict(stream=1), dict(stream=2)):
+        env = go1_env.Go1Env(3, tasks.task_config(), 1, **stream)
+        env.reset(7)
+        poses.append(env.qpos.tobytes())
+    assert poses[0] == poses[1] and len(set(poses)) == 3
 
 
 def arrays(thing, name=""):

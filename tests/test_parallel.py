@@ -117,9 +117,10 @@ def test_two_processes_hold_one_learner_and_environments_of_their_own(finished):
     """The learner, alpha and the curriculum are equal to the bit; simulations are not, and the checkpoint has both."""
     first, second = (held(finished, i) for i in range(2))
     assert set(first) == set(second) and "state.pi.params['critic'][0].even" in first
-    common = {name for name in first if name.endswith("weights") or not name.startswith(("env", "state.at"))}
+    own = "env", "state.key", "state.start"
+    common = {name for name in first if name.endswith("weights") or not name.startswith(own)}
     assert [name for name in common if first[name].tobytes() != second[name].tobytes()] == []
-    for name in ("env0.sim", "env1.sim", "env0.command", "state.at[0]", "state.at_prime[0]"):
+    for name in ("env0.sim", "env1.sim", "env0.command", "state.key", "state.start[0]", "state.start_prime[0]"):
         assert len(first[name]) == 2 and not np.array_equal(first[name], second[name])
     stored = run_folder.read_npz(finished / "checkpoint.npz")
     expected = first | {f"1/{name}": second[name] for name in set(second) - common | {"env0.weights", "env1.weights"}}
@@ -148,8 +149,9 @@ def test_two_processes_make_the_update_of_one(finished):
 
 def test_alone_nothing_is_changed():
     """Nor copied: without the flags a run is the same to the bit."""
-    tree, key, seed = dict(a=np.float64(0.1), b=(1, 2.5)), jax.random.key(0), 7
-    assert parallel.average(tree) is tree and parallel.own_key(key) is key and parallel.own_seed(seed) is seed
+    tree, key = dict(a=np.float64(0.1), b=(1, 2.5)), jax.random.PRNGKey(0)
+    assert parallel.average(tree) is tree and parallel.own_key(key) is key
+    assert parallel.pooled(dict(mean=0.1, count=3)) == dict(mean=0.1, count=3.0)
     assert parallel.gather(tree)[0] is tree and len(parallel.gather(tree)) == 1
     weights, before = np.array([0.1, 1.0]), np.array([0.3, 0.0])
     assert train.meet(False, weights, before) is False and train.meet(True, weights, before) is True

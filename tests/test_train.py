@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 from support import DAMAGES, ROOT, TINY, contents, error_of
 
+import eipo
 import evaluate
 import measure
 import train
@@ -65,6 +67,32 @@ def copy(finished, folder):
     """The same run in another folder, which exists."""
     for name, content in contents(finished).items():
         (folder / name).write_bytes(content)
+
+
+NOT_FINITE = {"alpha": np.nan, "momentum": np.inf}
+
+
+@pytest.mark.parametrize("name", NOT_FINITE)
+def test_a_run_does_not_go_on_without_alpha(name):
+    """D44. nan > 0 is false, so that line 13 would put alpha to 0 for good."""
+    learner = SimpleNamespace(opt_state=SimpleNamespace(notfinite_count=0))
+    dual = eipo.Dual(200.0, 0.0)._replace(**{name: NOT_FINITE[name]})
+    state = eipo.State(7, None, learner, learner, dual, None, None)
+    with pytest.raises(ValueError, match=r"^alpha and its momentum are .* after iteration 7$"):
+        train.check_learned(state, eipo.Config())
+    train.check_learned(state._replace(pi_prime=None), eipo.Config(algo="ppo"))  # at lam = 0 its alpha is infinite
+
+
+@pytest.mark.parametrize("culprit", ["pi", "pi_prime"])
+def test_a_run_ends_when_nothing_was_learned_for_ten_iterations(culprit):
+    """D44. 10 iterations of 5 x 4 minibatches, none of which had a finite gradient: 200; one fewer goes on."""
+    learners = {name: SimpleNamespace(opt_state=SimpleNamespace(notfinite_count=0)) for name in ("pi", "pi_prime")}
+    state = eipo.State(11, None, *learners.values(), eipo.Dual(200.0, 0.0), None, None)
+    learners[culprit].opt_state.notfinite_count = 199
+    train.check_learned(state, eipo.Config())
+    learners[culprit].opt_state.notfinite_count = 200
+    with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iterations: [^\n]+$"):
+        train.check_learned(state, eipo.Config())
 
 
 def test_two_iterations_fill_the_run_folder(tmp_path):
@@ -459,7 +487,7 @@ def other_settings(text):
         ("checkpoint.npz", other_network),
         ("checkpoint.npz", other_type),
         *(("checkpoint.npz", not_a_number(f"state.{name}")) for name in (
-            "dual.alpha", "dual.velocity", "pi.params['actor']['log_std']", "pi_prime.params['critic'][0].even")),
+            "dual.alpha", "dual.momentum", "pi.params['actor']['log_std']", "pi_prime.params['critic'][0].even")),
         *(("checkpoint.npz", other_settings(text)) for text in ("7", "[", '{"env": 1}', '{"env": {"moons": 1}}')),
         ("config.json", lambda path: path.write_text("{")),
     ],
@@ -506,7 +534,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     """D23: else the better policy would get the harder commands, and J(pi) - J(pi') would compare two tasks."""
     made = []
     environment = train.go1_env.Go1Env
-    monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x: made.append(environment(*x)) or made[-1])
+    monkeypatch.setattr(train.go1_env, "Go1Env", lambda *x, **y: made.append(environment(*x, **y)) or made[-1])
     run("--task", "curriculum", "--out", tmp_path / "run")
     env, env_prime, *_ = made  # and one for the trace of each policy that is saved
     env_prime.state.cell[:], env_prime.state.tracked[:] = [3, 21], 1000.0  # a success in the corner of the first region

@@ -209,7 +209,7 @@ def test_algorithm1_uses_no_key_twice(monkeypatch):
 def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha(with_effort):
     """Its metrics are those of EIPO, but for the gap and what is of pi_prime."""
     (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
-    assert end.pi_prime is None and end.at_prime is None
+    assert end.pi_prime is None and end.start_prime is None
     assert start.dual == end.dual == Dual(0.25, 0)
     assert set(metrics) == {name for name in with_effort[0][2][1] if name != "gap" and not name.startswith("prime_")}
 
@@ -245,18 +245,15 @@ def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
     assert eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual == Dual(alpha, 0)
 
 
-def test_algorithm1_processes_share_the_networks_and_no_luck(monkeypatch):
-    """Two processes: other exploration and minibatches, other environments, and the same random networks."""
-    monkeypatch.setattr(jax, "process_count", lambda: 2)
-    keys, resets, learners = [], [], []
-    for index in range(2):
-        monkeypatch.setattr(jax, "process_index", lambda index=index: index)
-        envs = Probe(one), Probe(one)
-        learners.append(eipo.init_state(*envs, EIPO)[1:3])
-        resets += [env.look()[0].tobytes() for env in envs]
-        keys += [jax.random.key_data(key).tobytes() for key in eipo.iteration_keys(EIPO, 1)]
-    assert len(set(keys)) == 8 and len(set(resets)) == 4
-    assert trees_equal(*learners)
+def test_algorithm1_another_key_is_other_luck(with_effort):
+    """A process is given a key of its own in the State: its exploration and minibatches differ from the start on."""
+    start = eipo.init_state(Probe(one), Probe(one), EIPO)
+    others = start.key, jax.random.fold_in(start.key, 1)
+    assert len({tuple(key.tolist()) for own in others for key in eipo.iteration_keys(own, 1)}) == 8
+    envs = Probe(near_half, effort), Probe(near_half, effort)
+    start = eipo.init_state(*envs, EIPO)._replace(key=others[1])
+    other = run(*envs, EIPO, 1, start)
+    assert not trees_equal(other[1][0].pi.params, with_effort[0][1][0].pi.params)
 
 
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
@@ -300,10 +297,10 @@ def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort, monke
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
 
 
-def test_algorithm1_counts_the_steps_of_both_policies(with_effort):
+def test_algorithm1_steps_both_policies(with_effort):
     """2 iterations of 8 steps in 32 environments, 16 for each policy (D9)."""
     states, env, env_prime = with_effort
-    assert states[2][1]["steps"] == 2 * 8 * 32 == 16 * len(env.diary) + 16 * len(env_prime.diary)
+    assert 16 * len(env.diary) + 16 * len(env_prime.diary) == 2 * 8 * 32
     assert [state.iteration for state, _ in states] == [0, 1, 2]
 
 
@@ -335,57 +332,13 @@ class Faulty(Probe):
         return obs, reward, terminated, truncated, info
 
 
-@pytest.mark.parametrize("value", [np.nan, -np.inf])
-@pytest.mark.parametrize(("name", "dropped"), [("reward", 3), ("cost", 3), ("obs", 4), ("privileged", 4)])
-def test_algorithm1_drops_a_sample_that_is_not_finite(name, value, dropped):
-    """Step 3 of 8 gives robot 5 no number, or shows it none in step 4: its 3 or 4 samples up to there are dropped.
-
-    The others are learned from, of the same 16 robots, and alpha follows them.
-    """
-    (start, _), (end, log) = run(Faulty(name, value), Probe(near_half, effort), iterations=1)
-    assert (log["dropped"], log["skipped"], log["prime_dropped"]) == (dropped, 0, 0)
-    assert np.isfinite([log["J"], log["gap"], log["kl"]]).all() and end.dual != start.dual
-    assert all(np.isfinite(x).all() for x in jax.tree.leaves(end.pi.params))
-    assert not trees_equal(start.pi.params["actor"], end.pi.params["actor"])
-
-
-@pytest.mark.parametrize(("algo", "culprit"), [("eipo", "pi"), ("eipo", "pi_prime"), ("ppo", "pi")])
-def test_algorithm1_ends_when_nothing_was_learned_for_ten_iterations(algo, culprit):
-    """Rewards are never a number. 10 iterations of 4 x 2 minibatches were skipped: the tenth State is not given away.
-
-    Up to the ninth, networks and alpha are what they were, so that a checkpoint of them is worth as much as the first.
-    """
-    envs, seen = [Faulty("reward", np.nan, always=True), Probe(near_half, effort)], []
-    steps = eipo.ppo(envs[0], EIPO) if algo == "ppo" else eipo.eipo(*(envs if culprit == "pi" else envs[::-1]), EIPO)
-    with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iterations: [^\n]+$"):
-        seen.extend(steps)
-    assert [state.iteration for state, _ in seen] == list(range(1, 10))
-    (first, _), (last, log) = seen[0], seen[-1]
-    assert log["skipped" if culprit == "pi" else "prime_skipped"] == 9 * 4 * 2
-    assert trees_equal(getattr(first, culprit).params, getattr(last, culprit).params)
-    assert first.dual == last.dual == Dual(0.25, 0)
-
-
-def test_algorithm1_goes_on_when_something_was_learned():
-    """Nine iterations without a number, one with, nine without: never ten in a row."""
-    env = Faulty("reward", np.nan, always=True)
-    skipped = []
-    for state, log in islice(eipo.ppo(env, EIPO), 19):
-        env.always = state.iteration != 9
-        skipped.append(int(log["skipped"]) // (4 * 2))
-    assert skipped == [*range(1, 10), *range(9, 19)]
-
-
-@pytest.mark.parametrize("dual", [Dual(np.nan, 0.0), Dual(200.0, np.nan), Dual(np.inf, 0.0), Dual(200.0, -np.inf)])
-def test_algorithm1_does_not_go_on_without_alpha(dual, monkeypatch):
-    """nan > 0 is false, so that line 13 would put alpha to 0 for good. A start may be damaged, or a line 13 wrong."""
-    env, env_prime = Probe(one), Probe(one)
-    start = eipo.init_state(env, env_prime, EIPO)
-    monkeypatch.setattr(eipo, "step_alpha", lambda *_: dual)
-    for damaged in (start._replace(dual=dual), start):
-        steps = eipo.eipo(env, env_prime, EIPO, damaged)
-        with pytest.raises(ValueError, match=r"^alpha and its momentum are .* after iteration [01]$"):
-            next(steps)
+@pytest.mark.parametrize("algo", ["eipo", "ppo"])
+def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
+    """Two iterations of rewards that are no number: 2 x 4 x 2 minibatches are skipped, and alpha stays where it is."""
+    env, env_prime = Faulty("reward", np.nan, always=True), Probe(near_half, effort)
+    (start, _), _, (end, log) = run(env, env_prime if algo == "eipo" else None)
+    assert log["skipped"] == end.pi.opt_state.notfinite_count == 2 * 4 * 2
+    assert trees_equal(start.pi.params, end.pi.params) and start.dual == end.dual == Dual(0.25, 0)
 
 
 # ---- the toy: a robot of one number, its speed theta, that can be solved by hand; F = theta^2 ----
