@@ -57,6 +57,12 @@ LEGS = ("FR", "FL", "RR", "RL")
 UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
 FROZEN = dict(timestep=1e-9)  # a physics step of a nanosecond keeps any state still that a test writes
 
+QUIET = dict(  # what the curriculum draws, held still
+    com=(0.0, 0.0), motor_strength=(1.0, 1.0), motor_offset=(0.0, 0.0), gravity=(0.0, 0.0), latency=0,
+    friction=(0.8, 0.8), payload=(0.0, 0.0), roughness=(0.0, 0.0),
+)  # fmt: skip
+QUARTER = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)  # an action: targets 0.25 rad on
+
 
 def make(num_envs=2, threads=1, seed=0, **fields):
     """A reset environment without noise and with first episodes that start at age 0; task="flat" if not told."""
@@ -69,6 +75,13 @@ def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0
     """Write the same state into every environment: joints; pose, world velocity and body rates of the trunk."""
     env.qpos[:, 2], env.qpos[:, 3:7], env.qpos[:, 7:] = height, quaternion, q
     env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, rates, qd
+
+
+def quiet(num_envs=2, **fields):
+    """A world of the curriculum in which nothing is drawn and nothing moves, its robots in the nominal pose."""
+    env = make(num_envs, **dict(task="curriculum") | QUIET | FROZEN | fields)
+    place(env)
+    return env
 
 
 def still(env, steps=1):

@@ -192,26 +192,6 @@ def test_reward_of_a_task(task, command, velocity, expected):
     assert info["privileged"] == pytest.approx(np.array([[v_x, v_y, 0.0]] * 2), abs=1e-6)
 
 
-@pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
-def test_eq09_cost_of_a_step(clip, expected):
-    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 + 42 - 200."""
-    env = make(1, clip=clip, **FROZEN)
-    place(env, qd=[8.0] + [0.0] * 11)
-    info = still(env)[4]
-    assert info["cost"] == pytest.approx([expected], abs=1e-3)
-    assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
-
-
-def test_eq09_cost_at_the_torque_limit():
-    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3 is 23.7 again.
-
-    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one asked for.
-    """
-    env = make(1, **FROZEN)
-    place(env)
-    assert env.step(np.full((1, 12), 10.0))[4]["cost"] == pytest.approx([4560.196], abs=0.01)
-
-
 def test_batch_equals_a_plain_mujoco_loop():
     """The batch is no other simulator: one MjModel per robot, PD by hand before each mj_step, the same bits.
 

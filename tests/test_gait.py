@@ -132,7 +132,7 @@ def seen(runs):
         return env, gait.record(policy, env, np.tile([0.5, 0, 0], (3, 1)))
 
 
-def test_the_power_of_the_legs_adds_up_to_that_of_eq09(seen):
+def test_the_power_of_the_legs_adds_up_to_that_of_the_robot(seen):
     """20 control steps of four physics steps; all but 42 W of the battery, to float32."""
     env, record = seen
     legs = gait.leg_power(record, env.env_cfg.clip)

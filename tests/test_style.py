@@ -137,6 +137,15 @@ def test_readme_equation_table_resolves_both_ways():
         assert set(where) <= all_of[tag][0] and set(names) <= all_of[tag][1], tag
 
 
+@pytest.mark.parametrize("tag", [*(f"eq{n:02}" for n in range(1, 12)), "algorithm1"])
+def test_each_equation_selects_its_tests(tag):
+    """`pytest -k eq03` must not come back empty, nor with tests that have nothing to do with the paper."""
+    named = {
+        path for path in (ROOT / "tests").rglob("test_*.py") if re.search(rf"def test_\w*{tag}_", path.read_text())
+    }
+    assert named and {path.parent.name for path in named} == {"paper"}
+
+
 def test_every_deviation_that_the_source_names_is_listed():
     """deviations.md has D1, D2, ... without a gap, each once and with its four parts."""
     page = (ROOT / "deviations.md").read_text()

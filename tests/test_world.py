@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import support
 from scipy.spatial.transform import Rotation
-from support import FROZEN, LEGS, NOMINAL, make, place, random_actions, same_bits, soles, still
+from support import FROZEN, LEGS, NOMINAL, QUARTER, make, place, quiet, random_actions, same_bits, soles, still
 
 import go1
 import go1_env
@@ -321,17 +321,6 @@ def test_torque_speed_limit_before_every_physics_step():
 
 # ---- the curriculum's world ----
 
-QUIET = dict(com=(0.0, 0.0), motor_strength=(1.0, 1.0), motor_offset=(0.0, 0.0), gravity=(0.0, 0.0), latency=0,
-             friction=(0.8, 0.8), payload=(0.0, 0.0), roughness=(0.0, 0.0))  # fmt: skip
-QUARTER = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)  # an action: targets 0.25 rad on
-
-
-def quiet(num_envs=2, **fields):
-    """A world of the curriculum in which nothing is drawn and nothing moves, its robots in the nominal pose."""
-    env = make(num_envs, **dict(task="curriculum") | QUIET | FROZEN | fields)
-    place(env)
-    return env
-
 
 def test_latency_in_steps():
     """Six physics steps are one control step of four and a half: the motors feel a new target in the second one only.
@@ -394,31 +383,6 @@ def test_power_limit(limit, ends):
     assert info["log"]["power"] == pytest.approx([0.7 * 25 * (8 + 16 / 9) + 42] * 2, abs=1e-3)
     assert terminated.tolist() == info["log"]["ended_power"].tolist() == [ends] * 2
     assert not truncated.any() and not info["log"]["ended_fall"].any()
-
-
-@pytest.mark.parametrize(("qd", "torque"), [(0.0, 5.0), (1.0, 4.3)])
-def test_eq11_smoothness_is_the_cost_of_a_step(qd, torque):
-    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small qdd.
-
-    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is logged all the same.
-    """
-    env = quiet(aux="smooth")
-    place(env, qd=qd)
-    info = env.step(QUARTER)[4]
-    qdd = (env.qvel[0, 6:] - qd) / 4e-9
-    assert info["cost"] == pytest.approx(2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
-    assert info["log"]["power"][0] > 200
-
-
-def test_eq11_takes_the_mean_of_the_physics_steps():
-    """D17. In the air, where joints move: the torques of all four physics steps count, and qdd is that of the 20 ms."""
-    env, torques = quiet(aux="smooth", timestep=0.005), []
-    step, before = env.batch.step, env.qvel[:, 6:].copy()
-    env.batch.step = lambda: (torques.append(env.ctrl.copy()), step())
-    cost, qdd = env.step(QUARTER)[4]["cost"], (env.qvel[:, 6:] - before) / 0.02
-    tau = 2e-4 * np.square(torques).sum(-1)
-    assert len(tau) == 4 and tau[3].max() < 0.9 * tau[0].min()
-    assert cost == pytest.approx(tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1), rel=1e-6)
 
 
 def test_a_touch_in_one_physics_step_of_four_is_a_fall():

@@ -13,6 +13,7 @@ from support import EIPO, LAMBDAS, dyadic, handmade, trees_equal
 import eipo
 from eipo import Config, Dual, Estimate, Rollout
 from runtime import settings
+from studies import sweep
 
 PAPER = replace(EIPO, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)  # line 13 as in Section IV-C.c
 gae = jax.jit(eipo.gae)
@@ -74,6 +75,12 @@ def test_eq04_gradient_in_alpha():
     assert jax.grad(lagrangian)(2.0) == 2
     plain = replace(PAPER, lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
     assert eipo.step_alpha(Dual(2.0, 0.0), 3.0 - 5.0, plain) == Dual(3.0, 2.0)
+
+
+def test_eq10_the_sweep_has_its_nine_lambdas():
+    """Eq. (10), read off the paper, with the 0 of PPO without energy: Table I has a row for each, and one for EIPO."""
+    printed = (0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
+    assert printed == sweep.LAMBDAS and len(sweep.KINDS) == 1 + 9
 
 
 @pytest.mark.parametrize("algo, lambdas", [("ppo", LAMBDAS), ("eipo", LAMBDAS[1:])])

@@ -378,7 +378,7 @@ def climb_smooth(theta, alpha, weight, lr=0.02):
     return theta - lr * (2 * alpha * (theta - 1) + weight * 2 * theta)
 
 
-def test_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
+def test_eq03_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
     """argmax alpha J - F = min(alpha / 2, 1), and pi_prime has J' = 1: from below, alpha stops at 2, theta at 1."""
     alpha, theta = toy(capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.0), 2000)
     assert alpha[-1] == pytest.approx(2, abs=1e-3)
@@ -486,7 +486,7 @@ def test_probes_5_to_7_the_best_action(reward, cost, best):
     assert means(learn(Probe(reward, cost) if cost else Probe(reward), 60).pi) == near(best)
 
 
-def test_probe_7_eipo_puts_the_task_first():
+def test_eq03_probe_7_eipo_puts_the_task_first():
     """From the same weight, pi_prime shows that the task pays more: alpha rises, and pi comes to 1/2 as well."""
     state = learn(Probe(near_half, effort), 100, Probe(near_half, effort))
     assert state.dual.alpha > 4

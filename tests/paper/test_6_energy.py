@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from support import NOMINAL, ROOT
+from support import FROZEN, NOMINAL, QUARTER, ROOT, make, place, quiet, still
 
 import energy
 import go1
@@ -75,6 +75,26 @@ def test_eq09_unknown_clip(function):
         function(np.ones(12), np.ones(12), clip="velocity")
 
 
+@pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
+def test_eq09_cost_of_a_step(clip, expected):
+    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 + 42 - 200."""
+    env = make(1, clip=clip, **FROZEN)
+    place(env, qd=[8.0] + [0.0] * 11)
+    info = still(env)[4]
+    assert info["cost"] == pytest.approx([expected], abs=1e-3)
+    assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
+
+
+def test_eq09_cost_at_the_torque_limit():
+    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3 is 23.7 again.
+
+    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one asked for.
+    """
+    env = make(1, **FROZEN)
+    place(env)
+    assert env.step(np.full((1, 12), 10.0))[4]["cost"] == pytest.approx([4560.196], abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("torque", "action", "qdd", "cost"),
     [
@@ -88,6 +108,31 @@ def test_eq11_smoothness(torque, action, qdd, cost):
     """2e-4 (4 + 9) = 0.0026; 1e-2 (1 + 1/4) = 0.0125; 2.5e-7 (3600 + 6400) = 0.0025; all three 0.0176."""
     terms = (joints(*x) for x in (torque, action, qdd))
     assert energy.smoothness_cost(*terms) == pytest.approx(cost, rel=1e-12)
+
+
+@pytest.mark.parametrize(("qd", "torque"), [(0.0, 5.0), (1.0, 4.3)])
+def test_eq11_smoothness_is_the_cost_of_a_step(qd, torque):
+    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small qdd.
+
+    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is logged all the same.
+    """
+    env = quiet(aux="smooth")
+    place(env, qd=qd)
+    info = env.step(QUARTER)[4]
+    qdd = (env.qvel[0, 6:] - qd) / 4e-9
+    assert info["cost"] == pytest.approx(2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
+    assert info["log"]["power"][0] > 200
+
+
+def test_eq11_takes_the_mean_of_the_physics_steps():
+    """D17. In the air, where joints move: the torques of all four physics steps count, and qdd is that of the 20 ms."""
+    env, torques = quiet(aux="smooth", timestep=0.005), []
+    step, before = env.batch.step, env.qvel[:, 6:].copy()
+    env.batch.step = lambda: (torques.append(env.ctrl.copy()), step())
+    cost, qdd = env.step(QUARTER)[4]["cost"], (env.qvel[:, 6:] - before) / 0.02
+    tau = 2e-4 * np.square(torques).sum(-1)
+    assert len(tau) == 4 and tau[3].max() < 0.9 * tau[0].min()
+    assert cost == pytest.approx(tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1), rel=1e-6)
 
 
 @pytest.mark.parametrize(
