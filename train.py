@@ -198,7 +198,7 @@ def main(argv):
         again = shlex.join([*command, *([] if options.resume else ["--resume"])])
         say(f"\nStopped after iteration {stopped}. Continue with: {again}")
     elif lead:
-        say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv")
+        say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv. Look: python play.py {folder}")
     return 130 if stopped else 0
 
 

@@ -1,7 +1,8 @@
 """What a policy.npz promises to whoever runs the policy elsewhere: what it measures, in which frame, with which sign.
 
-A control step, `1 / (timestep * physics_steps)` = 50 times a second, turns sensors into joint targets. README's lines
-do the same. The trace in the file holds 50 such steps, so that another program can be compared with it, row by row.
+A control step, `1 / (timestep * physics_steps)` = 50 times a second, turns sensors into joint targets. The lines of
+docs/deploy.md do the same. The trace in the file holds 50 such steps, so that another program can be compared with it,
+row by row.
 
 | array          | width | unit       | meaning                                                                    |
 |----------------|-------|------------|----------------------------------------------------------------------------|
@@ -63,7 +64,7 @@ def trace(params, env_cfg):
 
 
 def save(path, params, env_cfg):
-    """Write policy.npz: all that it takes to run the policy without JAX and this project, as README shows.
+    """Write policy.npz: all that it takes to run the policy without JAX and this project, as docs/deploy.md shows.
 
     params: of plain MLPs, as `mirror.EvenOdd.dense` returns them. The file has these arrays:
 

@@ -1,4 +1,4 @@
-"""play.py, and the policy outside of this project: README's lines, a GIF, the viewer, and the ground that is drawn."""
+"""play.py, and the policy outside of this project: docs/deploy.md, a GIF, the viewer, and the ground that is drawn."""
 
 import ctypes.util
 import itertools
@@ -45,14 +45,13 @@ def runs(tmp_path_factory):
 # ---- the policy elsewhere ----
 
 
-def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
+def test_the_lines_in_deploy_md_are_the_policy(runs, tmp_path, monkeypatch):
     """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
     about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
     params, env_cfg = policy_file.load(runs["velocity"] / "policy.npz")
     params["actor"]["layers"][-1] = jax.tree.map(lambda x: 40 * x, params["actor"]["layers"][-1])
     policy_file.save(tmp_path / "policy.npz", params, env_cfg)
-    section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
-    (code,) = re.findall(r"```python\n(.*?)```", section, re.S)
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/deploy.md").read_text(), re.S)
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(code, names)
@@ -69,7 +68,7 @@ def test_the_lines_in_readme_are_the_policy(runs, tmp_path, monkeypatch):
 
 
 def test_what_the_other_side_needs_is_in_the_file(runs):
-    """README: torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, policy 50 times."""
+    """torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, and the policy 50 times."""
     arrays = run_folder.read_npz(runs["flat"] / "policy.npz")
     env_cfg = policy_file.load(runs["flat"] / "policy.npz")[1]
     assert (arrays["kp"], arrays["kd"]) == (20.0, 0.5)

@@ -1,4 +1,4 @@
-"""policy_file.py: README's lines, and nothing else of ours, turn the sensors of a trace into its joint targets."""
+"""policy_file.py: docs/deploy.md, and nothing else of ours, turns the sensors of a trace into its joint targets."""
 
 import re
 from dataclasses import replace
@@ -37,10 +37,9 @@ def trace_of(path):
     return {name.removeprefix("trace."): x for name, x in arrays.items() if name.startswith("trace.")}
 
 
-def readme(folder, monkeypatch):
-    """The names that README's lines define in a folder with a policy.npz."""
-    section = (ROOT / "README.md").read_text().split("## Take a policy elsewhere")[1].split("\n## ")[0]
-    (code,) = re.findall(r"```python\n(.*?)```", section, re.S)
+def deployed(folder, monkeypatch):
+    """The names that the lines of docs/deploy.md define in a folder with a policy.npz."""
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/deploy.md").read_text(), re.S)
     monkeypatch.chdir(folder)
     names = {}
     exec(code, names)
@@ -48,10 +47,10 @@ def readme(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["flat", "curriculum", *COMMITTED])
-def test_readmes_lines_follow_the_trace(runs, monkeypatch, name):
+def test_the_lines_of_deploy_md_follow_the_trace(runs, monkeypatch, name):
     """From sensors alone: frames, and the last target in them, are the lines' own. Rounded to float32, in N m 0.002."""
     folder = runs.get(name, ROOT / name)
-    theirs, trace = readme(folder, monkeypatch), trace_of(folder / "policy.npz")
+    theirs, trace = deployed(folder, monkeypatch), trace_of(folder / "policy.npz")
     for k, time in enumerate(trace["time"]):
         if time == 0:
             target, frames = theirs["p"]["q_nominal"], []

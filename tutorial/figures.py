@@ -217,6 +217,46 @@ def ahead(c):
     return figure
 
 
+def pace(c):
+    """alpha and power of EIPO on the four tasks, with our step of alpha and the paper's; keys are task:run:column."""
+    figure, axes = panels(4, 4.4, rows=2)
+    styles = dict(ours=dict(color=BLUE), printed=dict(color=GREY, linestyle="--"))
+    for i, task in enumerate(dict.fromkeys(key.split(":")[0] for key in c)):
+        top, bottom = axes[i], axes[i + 4]
+        for run, style in styles.items():
+            if (name := f"{task}:{run}:steps") not in c:
+                continue
+            x = c[name] / 1e6
+            top.plot(x, c[f"{task}:{run}:alpha"], label=dict(ours="our step", printed="the paper's")[run], **style)
+            bottom.plot(x, c[f"{task}:{run}:power"], label=f"pi, {run}", **style)
+        x = c[f"{task}:ours:steps"] / 1e6
+        bottom.plot(x, c[f"{task}:ours:prime_power"], color=ORANGE, linestyle=":", linewidth=2)
+        top.set_title(task, fontsize=10)
+        top.ticklabel_format(useOffset=False)
+        bottom.set(xlabel="million steps", ylim=(0, 1000))
+    axes[0].set_ylabel("alpha")
+    axes[4].set_ylabel("power [W]")
+    axes[0].legend(frameon=False, fontsize=8)
+    axes[4].text(0.5, 0.9, "dotted: pi'", color=ORANGE, transform=axes[4].transAxes, fontsize=8)
+    return figure
+
+
+def escape(c):
+    """How standing is left: the speed of runs that stood, on a logarithmic axis, and its rate over alpha."""
+    figure, (left, right) = panels(2, 3.0)
+    for key, colour in zip([key for key in c if key.endswith(":v_x")], COLOURS, strict=False):
+        run = key.removesuffix(":v_x")
+        left.plot(c[f"{run}:iteration"], c[key], color=colour, label=run)
+    left.axhline(0.3, color=GREY, linestyle=":", linewidth=0.8)
+    left.set(xlabel="iteration", ylabel="speed of the batch [m/s]", yscale="log", ylim=(0.01, 1.5))
+    left.legend(frameon=False, fontsize=8, loc="lower right")
+    right.plot(c["alpha"], c["rate"], "o", color=BLUE)
+    right.plot(c["stands"], 0 * c["stands"], "x", color=RED)
+    right.text(c["stands"].max(), 0.15, "stand", color=RED, ha="center", fontsize=9)
+    right.set(xlabel="alpha (mean while the speed grows)", ylabel="growth of ln v_x in 100 iterations", xlim=(0, None))
+    return figure
+
+
 def reward(c):
     """The four task rewards over the forward velocity, for a command of 0.5 m/s."""
     figure, (axes,) = panels(1, 2.7)
@@ -424,5 +464,8 @@ def readings(c):
     return figure
 
 
-FIGURES = {f.__name__: f for f in (trap, loop, alpha, ahead, reward, ground, commands, hop, leap, robot, motor, mirror,
-                                   runs, paper, readings)}  # fmt: skip
+FIGURES = {
+    f.__name__: f
+    for f in (trap, loop, alpha, ahead, pace, escape, reward, ground, commands, hop, leap, robot, motor, mirror, runs,
+              paper, readings)
+}  # fmt: skip
