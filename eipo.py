@@ -33,7 +33,7 @@ class Config:
     lam: float = 0.005  # [V-A] lambda_0: alpha starts (EIPO) or stays (PPO) at 1 / lam; 0, for PPO, is no energy term
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
     num_envs: int = 256  # [ours] environments in all; EIPO gives each policy half. The lab: 1000 to 4000 (D9)
-    iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000, with smaller steps of alpha
+    iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000, with a smaller step of alpha
     num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
@@ -45,9 +45,9 @@ class Config:
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's 0.01 lets the noise of pi_prime grow (D21)
     max_grad_norm: float = 1.0  # [IV-C] bound on the norm of a network's gradient, each network by itself (D39)
     reward_scale: float = 0.02  # [lab code] factor on reward and cost in training: a control step's length in s (D10)
-    lr_alpha: float = 1.0  # [ours] eta_alpha, the step size of alpha; the paper: 0.01, for a longer run (D38)
+    lr_alpha: float = 0.5  # [ours] eta_alpha, the step size of alpha; the paper: 0.01, for a longer run (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
-    momentum_alpha: float = 0.9  # [ours] momentum of the step on alpha; the paper: 0.99, for a longer run (D38)
+    momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average (D38)
     alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
     log_std: float = 0.0  # [lab code] log of the standard deviation of the policy's noise at the start

@@ -56,13 +56,14 @@ class Go1Env:
     threads:  C++ threads; None takes every core that this process may use
     robot:    another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
     stream:   which of the independent streams of random numbers a seed stands for, from 0; processes have one each
+    weights:  (22, 40) of curriculum.py, changed in place, if this environment shares its commands with another (D23)
     Raises ValueError for what runtime.limits.check_world refuses.
     """
 
     action_size = 12
     privileged_size = 3  # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
 
-    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None, stream=0):
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, robot=None, stream=0, weights=None):
         check_world(num_envs, env_cfg, threads)
         self.stream = (stream,) if stream else ()
         self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
@@ -82,7 +83,7 @@ class Go1Env:
         self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.contacts = batch.bind("sensordata")  # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
         self.watch = lambda: None  # called after every physics step, for those who measure more than the log holds
-        self.state = self._blank_state()
+        self.state = self._blank_state(curriculum.initial_weights() if weights is None else weights)
         self.rng = np.random.default_rng(0)
 
     def reset(self, seed, command=None):
@@ -141,7 +142,7 @@ class Go1Env:
             linear = self.body_velocity()
         return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
 
-    def _blank_state(self):
+    def _blank_state(self, weights):
         """What the next step depends on, beside the random generator: arrays that are only changed in place."""
         n, batch = self.num_envs, self.batch
         return SimpleNamespace(
@@ -160,7 +161,7 @@ class Go1Env:
             off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it, see shaped.py
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             given=np.full((n, 3), np.nan),  # the command that reset was told to keep; NaN: commands are drawn
-            weights=curriculum.initial_weights(),
+            weights=weights,  # of the curriculum's commands, perhaps shared with another environment
             cell=np.zeros((n, 2), np.int64),  # of the curriculum, where the command is from
             tracked=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
         )
@@ -252,7 +253,7 @@ class Go1Env:
             state.command[ids] = state.given[ids]
         elif self.task.curriculum:
             success = curriculum.succeeded(*(state.tracked[ids] / self.env_cfg.command_steps).T)
-            state.weights[:] = curriculum.update(state.weights, state.cell[ids], success)  # in place: shared (D23)
+            state.weights[:] = curriculum.update(state.weights, state.cell[ids], success)
             state.tracked[ids] = 0.0
             state.command[ids], state.cell[ids] = curriculum.sample(state.weights, self.rng, len(ids))
         else:

@@ -25,7 +25,7 @@
 | environments      | 256               | 256        | 128          | 256                         | [ours]            |
 
 Our runs end after a tenth of the paper's iterations or so, and alpha moves at their pace. The paper's length and its
-step of alpha are `--iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99`, with 10000 on `velocity` (D38).
+step of alpha are `--iterations 4000 --lr-alpha 0.01`, with 10000 on `velocity` (D38).
 What has a range is drawn anew for each episode, and the command twice in each. `velocity` needs fewer environments,
 because there a robot that stands still earns nothing (D9).
 """

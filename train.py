@@ -22,6 +22,7 @@ if __name__ == "__main__":
 import jax
 import numpy as np
 
+import curriculum
 import eipo
 import go1_env
 from runtime import limits, metrics, mirror, parallel, policy_file, run_folder
@@ -124,9 +125,9 @@ def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
     share = cfg.num_envs // policies // jax.process_count()
-    envs = [go1_env.Go1Env(share, env_cfg, threads, stream=jax.process_index()) for _ in range(policies)]
-    envs[-1].state.weights = envs[0].state.weights  # one curriculum: J(pi), J(pi') are of the same commands (D23)
-    return envs
+    weights = curriculum.initial_weights()  # of both: J(pi) and J(pi') are of the same commands (D23)
+    shared = dict(stream=jax.process_index(), weights=weights)
+    return [go1_env.Go1Env(share, env_cfg, threads, **shared) for _ in range(policies)]
 
 
 def train(folder, env_cfg, cfg, options, command, stop):

@@ -27,7 +27,7 @@ class Options:
 CONFIGS = (Options, tasks.Config, eipo.Config)
 ABOUT = "`python train.py --task flat` trains a policy and keeps everything in a run folder."
 LENGTH = """A run is a tenth as long as the paper's, and alpha moves at its pace (D38). At the paper's length:
-  --iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99  (velocity and curriculum: --iterations 10000)"""
+  --iterations 4000 --lr-alpha 0.01  (on velocity: --iterations 10000 --lr-alpha 0.01)"""
 
 
 def describe(config):

@@ -898,7 +898,7 @@ def test_ppo_of_another_step_of_alpha_is_the_same_run(sweep, tmp_path):
     """PPO's alpha stands still, so its runs with the paper's step are those of ours. EIPO's are not."""
     every = sweep("fig2", "--iterations", 4)
     for line in every[2:4]:  # EIPO's last seed and the first of PPO(0.005)
-        folder = fake_run(f"{line} --lr-alpha 0.01 --momentum-alpha 0.99", 4)
+        folder = fake_run(f"{line} --lr-alpha 0.01", 4)
         kept = tmp_path / "results" / "flat" / folder.name
         kept.parent.mkdir(parents=True, exist_ok=True)
         folder.rename(kept)
@@ -907,7 +907,7 @@ def test_ppo_of_another_step_of_alpha_is_the_same_run(sweep, tmp_path):
 
 def test_eipo_of_another_step_of_alpha_has_a_name_of_its_own():
     """Two rules in one figure would otherwise be one line of it. PPO reads no step of alpha."""
-    world, printed = tasks.task_config("flat"), eipo.Config(lr_alpha=0.01, momentum_alpha=0.99)
+    world, printed = tasks.task_config("flat"), eipo.Config(lr_alpha=0.01)
     assert evaluate.sweep.kind(world, eipo.Config()) == "EIPO"
     assert evaluate.sweep.kind(world, printed) == "EIPO at eta_alpha 0.01"
     assert evaluate.sweep.kind(world, replace(printed, algo="ppo")) == "PPO(0.005)"

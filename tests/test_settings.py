@@ -42,19 +42,26 @@ def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, it
 
 
 def test_paper_settings_of_every_task():
-    """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping, alpha's too; V-A: 1000 steps."""
+    """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 1 and 0.99; V-A: 1000 steps."""
     cfg = eipo.Config()
     assert (cfg.hidden, cfg.hidden_estimator) == ((512, 256, 128), (256, 128))
     assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
-    assert cfg.clip_alpha == 1
+    assert (cfg.clip_alpha, cfg.momentum_alpha) == (1, 0.99)
     assert measure.EPISODE_STEPS == 1000
 
 
 def test_alpha_has_the_papers_pace_in_the_time_of_our_run():
-    """D38. k = 10: a memory of 1 / (1 - 0.9) = 10 iterations for 100, and 1 / (1 - 0.9) = 10 per iteration for 1."""
+    """D38. Momentum adds gradients of 1 to 1, 1.99, ...: within its memory alpha travels like the step times n^2 / 2.
+
+    4000 iterations are 20 / 3 times ours, so 0.01 (20 / 3)^2 = 0.444 travels as far in ours. 0.5 is the nearest half.
+    """
     cfg = eipo.Config()
-    assert (cfg.lr_alpha, cfg.momentum_alpha, cfg.dampening_alpha) == (1.0, 0.9, 0.0)
-    assert (cfg.lr_alpha, cfg.momentum_alpha) == (0.01 * 10**2, 1 - 0.01 * 10)
+    assert (cfg.lr_alpha, cfg.momentum_alpha, cfg.dampening_alpha) == (0.5, 0.99, 0.0)
+    assert round(0.01 * (4000 / cfg.iterations) ** 2 * 2) / 2 == cfg.lr_alpha
+    dual = eipo.Dual(200.0, 0.0)
+    for alpha in (200.5, 201.495):
+        dual = eipo.step_alpha(dual, -7.0, cfg)
+        assert dual.alpha == pytest.approx(alpha, rel=1e-12)
 
 
 def test_help_says_how_to_train_as_long_as_the_paper(capsys):
@@ -62,10 +69,10 @@ def test_help_says_how_to_train_as_long_as_the_paper(capsys):
     with pytest.raises(SystemExit):
         parse(["-h"])
     shown = " ".join(capsys.readouterr().out.split())
-    typed = "--iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99"
-    assert typed in shown and "10000" in shown
+    typed = "--iterations 4000 --lr-alpha 0.01"
+    assert typed in shown and "--iterations 10000 --lr-alpha 0.01" in shown
     cfg = settle(*parse(typed.split())[1:])[1]
-    assert (cfg.iterations, cfg.lr_alpha, cfg.momentum_alpha) == (4000, 0.01, 0.99)
+    assert (cfg.iterations, cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (4000, 0.01, 1, 0.99)
 
 
 def test_none_switches_off_what_a_task_sets():

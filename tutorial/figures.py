@@ -248,12 +248,12 @@ def escape(c):
         run = key.removesuffix(":v_x")
         left.plot(c[f"{run}:iteration"], c[key], color=colour, label=run)
     left.axhline(0.3, color=GREY, linestyle=":", linewidth=0.8)
-    left.set(xlabel="iteration", ylabel="speed of the batch [m/s]", yscale="log", ylim=(0.01, 1.5))
-    left.legend(frameon=False, fontsize=8, loc="lower right")
+    left.set(xlabel="iteration", ylabel="speed of the batch [m/s]", yscale="log", ylim=(0.01, 5))
+    left.legend(frameon=False, fontsize=8, loc="upper right")
     right.plot(c["alpha"], c["rate"], "o", color=BLUE)
     right.plot(c["stands"], 0 * c["stands"], "x", color=RED)
-    right.text(c["stands"].max(), 0.15, "stand", color=RED, ha="center", fontsize=9)
-    right.set(xlabel="alpha (mean while the speed grows)", ylabel="growth of ln v_x in 100 iterations", xlim=(0, None))
+    right.text(50, 0.6, "stand", color=RED, fontsize=9)
+    right.set(xlabel="alpha while the speed grows", ylabel="growth of ln v_x in 100 iterations", xscale="log")
     return figure
 
 
