@@ -26,8 +26,8 @@ class Options:
 
 CONFIGS = (Options, tasks.Config, eipo.Config)
 ABOUT = "`python train.py --task flat` trains a policy and keeps everything in a run folder."
-LENGTH = """A run is a tenth as long as the paper's, and alpha moves at its pace (D38). At the paper's length:
-  --iterations 4000 --lr-alpha 0.01  (on velocity: --iterations 10000 --lr-alpha 0.01)"""
+LENGTH = """A run has 10 to 15 % of the paper's iterations, and alpha takes longer steps for it (D38). As in the paper:
+  --iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99  (on velocity: --iterations 10000)"""
 
 
 def describe(config):

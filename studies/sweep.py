@@ -66,9 +66,9 @@ def by_label(folders, task):
 
 def kind(env_cfg, cfg):
     """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost or reward."""
-    usual = cfg.lam == tasks.TASKS[env_cfg.task].learner.get("lam", eipo.Config.lam)
-    name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if usual else f"EIPO from {cfg.lam:g}"
-    name += f" at eta_alpha {cfg.lr_alpha:g}" if read_by(cfg).lr_alpha != eipo.Config.lr_alpha else ""
+    usual = eipo.Config(**tasks.TASKS[env_cfg.task].learner)
+    name = f"PPO({cfg.lam:g})" if cfg.algo == "ppo" else "EIPO" if cfg.lam == usual.lam else f"EIPO from {cfg.lam:g}"
+    name += f" at eta_alpha {cfg.lr_alpha:g}" if cfg.algo == "eipo" and cfg.lr_alpha != usual.lr_alpha else ""
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
 
 

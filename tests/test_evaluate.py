@@ -648,7 +648,7 @@ def test_the_folders_in_results_can_be_given_with_a_star(capsys):
     shutil.copytree(ROOT / "results" / "flat", "flat")
     run(*sorted(Path("flat").iterdir()), "--episodes", 990)
     said = capsys.readouterr()
-    assert "| flat-eipo-lam0.005-seed0 |" in said.out and "lam0.005-seed0" not in said.err
+    assert "| flat-eipo-lam0.005-seed0 |" in said.out and "flat-eipo-lam0.005-seed0" not in said.err
     assert "flat/README.md" in said.err
 
 
@@ -911,6 +911,8 @@ def test_eipo_of_another_step_of_alpha_has_a_name_of_its_own():
     assert evaluate.sweep.kind(world, eipo.Config()) == "EIPO"
     assert evaluate.sweep.kind(world, printed) == "EIPO at eta_alpha 0.01"
     assert evaluate.sweep.kind(world, replace(printed, algo="ppo")) == "PPO(0.005)"
+    velocity = eipo.Config(lam=0.0002, lr_alpha=1.0, momentum_alpha=0.9)  # the usual step there (D38)
+    assert evaluate.sweep.kind(tasks.task_config("velocity"), velocity) == "EIPO"
 
 
 def test_a_finished_run_is_resumed_for_more_iterations(sweep):

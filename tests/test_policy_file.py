@@ -14,8 +14,12 @@ from runtime import policy_file, run_folder
 
 SENSORS = ("time", "gravity", "command", "q", "qd")
 WIDTHS = dict(gravity=3, command=3, q=12, qd=12, frame=44, estimate=3, action=12, target=12)
-LAM = dict(flat=0.005, rough=0.0002, velocity=0.0002, curriculum=0.001)  # of the policies in the repository
-COMMITTED = [f"results/{task}/{task}-eipo-lam{lam}-seed0" for task, lam in LAM.items()]
+COMMITTED = [  # the policies in the repository
+    "results/flat/flat-eipo-lam0.005-seed23",
+    "results/rough/rough-eipo-lam0.0002-seed0",
+    "results/velocity/velocity-eipo-lam0.0002-seed0",
+    "results/curriculum/curriculum-eipo-lam0.001-seed0",
+]
 
 
 @pytest.fixture(scope="module")

@@ -233,9 +233,11 @@ def pace(c):
         bottom.plot(x, c[f"{task}:ours:prime_power"], color=ORANGE, linestyle=":", linewidth=2)
         top.set_title(task, fontsize=10)
         top.ticklabel_format(useOffset=False)
-        bottom.set(xlabel="million steps", ylim=(0, 1000))
-    axes[0].set_ylabel("alpha")
-    axes[4].set_ylabel("power [W]")
+        bottom.set_ylim(0, 1000)
+        for a, label in ((top, "alpha"), (bottom, "power [W]")):
+            a.set_xlabel("million steps", fontsize=8)
+            a.set_ylabel(label, fontsize=8)
+            a.tick_params(labelsize=8)
     axes[0].legend(frameon=False, fontsize=8)
     axes[4].text(0.5, 0.9, "dotted: pi'", color=ORANGE, transform=axes[4].transAxes, fontsize=8)
     return figure

@@ -183,7 +183,7 @@ def random_targets():
 
 def policy_targets():
     """The shipped policy of flat ground, asked for 1 m/s: where it is after a second, and its targets in the next."""
-    params, env_cfg = policy_file.load(ROOT / "results" / "flat" / "flat-eipo-lam0.005-seed0" / "policy.npz")
+    params, env_cfg = policy_file.load(ROOT / "results" / "flat" / "flat-eipo-lam0.005-seed23" / "policy.npz")
     as_in_the_model = dict(friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0, stagger=False)
     env, policy = go1_env.Go1Env(1, replace(env_cfg, **as_in_the_model), 1), measure.deterministic(params)
     (obs, _), targets = env.reset(0, [1.0, 0.0, 0.0]), []
