@@ -135,8 +135,8 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estima
 def make_run(folder, task="flat", action=None, **learner):
     """A run folder with an untrained policy; action: what it answers to everything, if not what it likes; its path."""
     env_cfg = tasks.task_config(task, history=2, tiles=2)
-    usual = dict(hidden=(8,), hidden_estimator=(8,), lam=tasks.TASKS[task].learner.get("lam", eipo.Config.lam))
-    cfg = eipo.Config(**usual | learner)
+    own = {name: x for name, x in tasks.TASKS[task].learner.items() if name not in ("iterations", "num_envs")}
+    cfg = eipo.Config(**dict(hidden=(8,), hidden_estimator=(8,)) | own | learner)
     sizes = (2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)
     params = ppo.init_learner(jax.random.key(cfg.seed), sizes, 2, cfg).params
     if action is not None:

@@ -35,8 +35,7 @@ def data_of_an_update(processes=1, process=0):
         x[:, share] for x in (obs, privileged, action, advantage, likely.astype(np.float32), target)
     )
     tau = Rollout(obs, privileged, action, None, None, None, None, None)
-    sample = np.arange(advantage.size).reshape(advantage.shape)
-    return learner, tau, Estimate(None, target, likely, sample), advantage, jax.random.key(process), ONE_BATCH
+    return learner, tau, Estimate(None, target, likely), advantage, jax.random.key(process), ONE_BATCH
 
 
 def arrays_of(learner, log):
