@@ -129,8 +129,8 @@ def keep_runs(out, folders):
     So a figure can be drawn again without the run, and `--commands` counts a run in results/TASK as done.
     """
     for folder in folders:
-        if (kept := out / folder.name).resolve() == folder.resolve():
-            continue
+        if (kept := out / folder.name).resolve() == folder.resolve() or RESULTS.resolve() in folder.resolve().parents:
+            continue  # what stands in results/ is kept already: `fig4 --out results` would copy it
         kept.mkdir(exist_ok=True)
         for name in ("config.json", "policy.npz", run_folder.EPISODES, "metrics.csv"):
             if not (folder / name).exists():

@@ -894,6 +894,16 @@ def test_a_run_that_results_keep_is_done(sweep, tmp_path):
     assert len(sweep("fig6", "--iterations", 4)) == 6
 
 
+def test_what_results_keep_is_not_kept_twice(sweep, tmp_path):
+    """Figure 4 is drawn into results/, a level above the runs of its two tasks."""
+    folder = fake_run(sweep("fig6", "--iterations", 4)[0], 4)
+    kept = tmp_path / "results" / "velocity" / folder.name
+    kept.parent.mkdir(parents=True)
+    folder.rename(kept)
+    keep_runs(tmp_path / "results", [kept])
+    assert [path.name for path in (tmp_path / "results").iterdir()] == ["velocity"]
+
+
 def test_ppo_of_another_step_of_alpha_is_the_same_run(sweep, tmp_path):
     """PPO's alpha stands still, so its runs with the paper's step are those of ours. EIPO's are not."""
     every = sweep("fig2", "--iterations", 4)

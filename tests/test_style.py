@@ -155,7 +155,7 @@ def test_every_deviation_that_the_source_names_is_listed():
 
 def test_readme_is_one_sitting_and_its_files_exist():
     text = (ROOT / "README.md").read_text()
-    words = re.sub(r"```.*?```|^    .*$", "", text, flags=re.M | re.S).split()
+    words = re.sub(r"```.*?```", "", text, flags=re.S).split()
     assert len(words) <= 700
     pages = [str(path.relative_to(ROOT)) for path in ROOT.glob("docs/*.md")]
     for page in ("README.md", "deviations.md", "tests/paper/README.md", *pages):
