@@ -1,16 +1,20 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper.
 
-`eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline, which is Algorithm 1
-without pi_prime. What they call follows in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
+`eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline,
+which is Algorithm 1 without pi_prime. What they call follows in the order of the lines, and
+`ppo.py` has the update of lines 9 and 11.
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
-    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and starts at lam (D6)
-    T, N            steps of a rollout and number of environments; `networks.py` defines the widths D, P, A and K
+    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and
+                    starts at lam (D6)
+    T, N            steps of a rollout and number of environments; `networks.py` defines the widths
+                    D, P, A and K
 
-An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size` and `action_size`, as
-`go1_env.Go1Env` documents them. No robot, no file and no other process is known here. The loop over iterations is plain
-Python, so that a `breakpoint()` works in it. Acting and learning are compiled.
+An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size` and
+`action_size`, as `go1_env.Go1Env` documents them. No robot, no file and no other process is known
+here. The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and
+learning are compiled.
 """
 
 from dataclasses import dataclass
@@ -21,37 +25,39 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from networks import log_prob, policy, value
+from networks import Mirror, log_prob, policy, sample, value
 from ppo import Learner, global_mean, init_learner, ppo_update
 
 
 @dataclass(frozen=True)
 class Config:
-    """How to learn. A field's tag says where its value comes from: the paper's section, the lab's code, or us."""
+    """How to learn. A field's tag says where its value comes from: the paper's section, the lab's
+    code, or us.
+    """
 
-    algo: str = "eipo"  # [III] "eipo", or "ppo": the same code without pi_prime and with a fixed alpha
-    lam: float = 0.005  # [V-A] lambda_0: alpha starts (EIPO) or stays (PPO) at 1 / lam; 0, for PPO, is no energy term
+    algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
+    lam: float = 0.005  # [V-A] lambda_0; alpha starts (PPO: stays) at 1 / lam. 0: no energy term
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
-    num_envs: int = 256  # [ours] environments in all; EIPO gives each policy half. The lab: 1000 to 4000 (D9)
-    iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000, with a smaller step of alpha
+    num_envs: int = 256  # [ours] environments in all, of which EIPO gives each policy half
+    iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
     num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
-    lr: float = 3e-4  # [ours] eta_pi and eta_pi': Adam's step size at the start; the paper's is 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] the step size aims at this mean KL divergence of an update; 0 keeps lr fixed (D20)
+    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
+    target_kl: float = 0.03  # [ours] KL divergence of an update that lr aims at; 0: fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
-    ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's 0.01 lets the noise of pi_prime grow (D21)
-    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of a network's gradient, each network by itself (D39)
-    reward_scale: float = 0.02  # [lab code] factor on reward and cost in training: a control step's length in s (D10)
-    lr_alpha: float = 0.5  # [ours] eta_alpha, the step size of alpha; the paper: 0.01, for a longer run (D38)
+    ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab: 0.01
+    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient
+    reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
+    lr_alpha: float = 0.5  # [ours] eta_alpha; the paper: 0.01, for a longer run (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
-    dampening_alpha: float = 0.0  # [ours] as in torch's SGD: 0 lets momentum build up, 0.99 makes it an average (D38)
+    dampening_alpha: float = 0.0  # [ours] as in torch's SGD; 0.99 makes momentum an average
     alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
-    log_std: float = 0.0  # [lab code] log of the standard deviation of the policy's noise at the start
-    mirror: bool = True  # [ours] weights are tied by the robot's mirror symmetry; --no-mirror: plain MLPs (D28)
+    log_std: float = 0.0  # [lab code] log of the noise's standard deviation at the start
+    mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs
     hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
     hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
 
@@ -76,23 +82,28 @@ class State(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or truncated, not both."""
+    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or
+    truncated, not both.
+    """
 
     obs: np.ndarray  # (T, N, D)
     privileged: np.ndarray  # (T, N, P)
     action: np.ndarray  # (T, N, A)
-    reward: np.ndarray  # (T, N, K) streams: task reward r and, for pi, cost lam f, both times reward_scale
+    # (T, N, K) streams: task reward r and, for pi, cost lam f, both times reward_scale
+    reward: np.ndarray
     terminated: np.ndarray  # (T, N)
     truncated: np.ndarray  # (T, N)
     after: tuple  # obs (N, D), privileged (N, P) after the last step
-    final: tuple  # obs (M, D), privileged (M, P): the last of each truncated episode, in that order, then padding
+    # obs (M, D), privileged (M, P): the last of each truncated episode, in that order, then padding
+    final: tuple
 
 
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout."""
 
     advantage: jax.Array  # (T, N, K) of each stream, never normalised
-    target: jax.Array  # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
+    # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
+    target: jax.Array
     log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
 
 
@@ -100,11 +111,14 @@ class Estimate(NamedTuple):
 
 
 def eipo(env, env_prime, cfg, state=None):
-    """Algorithm 1 as a generator, which yields the State after every iteration and a dict of metrics.
+    """Algorithm 1 as a generator, which yields the State after every iteration and a dict of
+    metrics.
 
     env, env_prime: environments of pi and of pi_prime
-    state:          the State to continue from, with env and env_prime as they were then; None starts anew
-    The tags are the paper's line numbers. Where the paper's line 11 prints pi, it means pi_prime (D1).
+    state:          the State to continue from, with env and env_prime as they were then; None
+                    starts anew
+    The tags are the paper's line numbers. Where the paper's line 11 prints pi, it means pi_prime
+    (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
@@ -147,21 +161,31 @@ def ppo(env, cfg, state=None):
         est = estimate(pi.params, tau, cfg)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
         pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
-        yield State(iteration, state.key, pi, None, dual, start, None), summary(est, dual, cfg) | log | trained
+        yield (
+            State(iteration, state.key, pi, None, dual, start, None),
+            summary(est, dual, cfg) | log | trained,
+        )
 
 
 def iteration_keys(key, iteration):
-    """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of pi and pi_prime."""
+    """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of
+    pi and pi_prime.
+    """
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
 def summary(est, dual, cfg):
     """Metrics of an iteration: J(pi), alpha, and the task's share of pi's objective.
 
-    task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer matters.
+    task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer
+        matters.
     """
     task, cost = est.advantage.std((0, 1))
-    share = 1.0 if cfg.lam == 0 else dual.alpha * cfg.lam * task / (dual.alpha * cfg.lam * task + cost + 1e-30)
+    share = (
+        1.0
+        if cfg.lam == 0
+        else dual.alpha * cfg.lam * task / (dual.alpha * cfg.lam * task + cost + 1e-30)
+    )
     return dict(J=estimate_J(est), alpha=dual.alpha, task_share=share)
 
 
@@ -169,17 +193,22 @@ def summary(est, dual, cfg):
 
 
 def init_state(env, env_prime, cfg):
-    """The State before the first iteration: random policies, alpha_0, reset environments. env_prime: None for PPO."""
+    """The State before the first iteration: random policies, alpha_0, reset environments.
+    env_prime: None for PPO.
+    """
     base = jax.random.PRNGKey(cfg.seed)
 
     def begin(env, key, heads, seed):
         obs, info = env.reset(seed)
         sizes = env.obs_size, env.privileged_size, env.action_size
-        return init_learner(key, sizes, heads, cfg), (obs, info["privileged"])
+        mirror = Mirror(**env.mirror) if cfg.mirror and env.mirror else None
+        return init_learner(key, sizes, mirror, heads, cfg), (obs, info["privileged"])
 
     key, key_prime = jax.random.split(jax.random.fold_in(base, 0))
     pi, start = begin(env, key, 2, 2 * cfg.seed)
-    pi_prime, start_prime = (None, None) if env_prime is None else begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
+    pi_prime, start_prime = (
+        (None, None) if env_prime is None else begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
+    )
     alpha = cfg.alpha0 if cfg.alpha0 is not None else 1 / cfg.lam if cfg.lam else np.inf
     return State(0, base, pi, pi_prime, Dual(alpha, 0.0), start, start_prime)
 
@@ -189,16 +218,18 @@ def init_state(env, env_prime, cfg):
 
 @jax.jit
 def act(params, obs, key, t):
-    """Random actions (N, A) for obs (N, D). key, t: random key of the rollout, and step within it."""
-    mean, std, _ = policy(params, obs)
-    return mean + std * jax.random.normal(jax.random.fold_in(key, t), mean.shape)
+    """Random actions (N, A) for obs (N, D). key, t: random key of the rollout, and step
+    within it.
+    """
+    return sample(params, obs, jax.random.fold_in(key, t))
 
 
 def rollout(env, params, start, key, cfg):
     """Take T steps in env with the policy, from where env is.
 
     start: (obs, privileged) of the N environments now
-    returns Rollout, the next `start`, and the log: means of the environment's float columns, counts of its boolean ones
+    returns Rollout, the next `start`, and the log: means of the environment's float columns, counts
+    of its boolean ones
     """
     heads = len(params["critic"][-1].bias)
     steps, finals, logs = [], [], []
@@ -211,11 +242,14 @@ def rollout(env, params, start, key, cfg):
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
         start = obs, info["privileged"]
     final = [np.concatenate(column) for column in zip(*finals, strict=True)]
-    padding = -len(final[0]) % len(obs)  # to whole multiples of N: the shapes that JAX compiles for are few
+    # to whole multiples of N: the shapes that JAX compiles for are few
+    padding = -len(final[0]) % len(obs)
     final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
     tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), start, final)
     columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
-    log = {name: int(c.sum()) if c.dtype == bool else float(c.mean()) for name, c in columns.items()}
+    log = {
+        name: int(c.sum()) if c.dtype == bool else float(c.mean()) for name, c in columns.items()
+    }
     return tau, start, log
 
 
@@ -224,23 +258,31 @@ def rollout(env, params, start, key, cfg):
 
 @partial(jax.jit, static_argnames="cfg")
 def estimate(params, tau, cfg):
-    """The Estimate of a rollout. Streams stay apart: GAE is linear, so their advantages can be mixed later (L8)."""
+    """The Estimate of a rollout. Streams stay apart: GAE is linear, so their advantages can be
+    mixed later (L8).
+    """
     values = value(params, tau.obs, tau.privileged)
     next_values = jnp.concatenate([values[1:], value(params, *tau.after)[None]])
     terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
-    if len(tau.final[0]):  # where time was up, more would have followed: the k-th such step takes the k-th final value
+    # where time was up, more would have followed: the k-th such step takes the k-th final value
+    if len(tau.final[0]):
         k = jnp.cumsum(tau.truncated).reshape(tau.truncated.shape) - 1
         next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
-    advantage = gae(tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda)
+    advantage = gae(
+        tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda
+    )
     mean, std, _ = policy(params, tau.obs)
     return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
-    """GAE, the advantages (T, ...): sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the episode's end.
+    """GAE, the advantages (T, ...): sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the
+    episode's end.
 
-    reward, value: (T, ...); next_value: (T, ...) value of the state that step t led to, also where truncated
-    terminated, truncated: (T, ...) bool. Both end the sum; after `terminated` alone there is no next value.
+    reward, value: (T, ...); next_value: (T, ...) value of the state that step t led to, also where
+        truncated
+    terminated, truncated: (T, ...) bool. Both end the sum; after `terminated` alone there is no
+        next value.
     """
     delta = reward + gamma * next_value * ~terminated - value
     decay = gamma * gae_lambda * ~(terminated | truncated)
@@ -256,14 +298,16 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
 def mix(advantage, alpha, lam):
     """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6).
 
-    advantage: (T, N, 2) of the streams r and lam f. The weights alpha lam and -1 give lam (alpha A_r - A_f). With
-    alpha = 1 / lam this is A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and only the task counts.
+    advantage: (T, N, 2) of the streams r and lam f. The weights alpha lam and -1 give lam (alpha
+        A_r - A_f). With
+    alpha = 1 / lam this is A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and only
+    the task counts.
     """
     return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
 
 
 def estimate_J(estimate):
-    """J of a policy: the mean of the lambda-returns of the task in its rollout (L12, D8).
+    """J of a policy: the mean of the lambda-returns of the task in its rollout (L12).
 
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
@@ -274,10 +318,13 @@ def estimate_J(estimate):
 
 
 def step_alpha(dual, gap, cfg):
-    """The Dual after one step of gradient ascent on L of Eq. (4), with the momentum of torch's SGD (D38). IV-C.c.
+    """The Dual after one step of gradient ascent on L of Eq. (4), with the momentum of torch's SGD
+    (D38). IV-C.c.
 
-    gap: J(pi) - J(pi_prime). dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises while pi is the worse
-    one. Where alpha would fall below 0, it becomes 0 and loses its momentum. If gap is not finite, nothing moves (D44).
+    gap: J(pi) - J(pi_prime). dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises
+        while pi is the worse
+    one. Where alpha would fall below 0, it becomes 0 and loses its momentum. If gap is not finite,
+    nothing moves.
     """
     if not np.isfinite(gap):
         return dual

@@ -1,19 +1,20 @@
 """What a step costs: the power model of Eq. (9) and the smoothness cost of Eq. (11).
 
-Sections IV-B and V-E. Both are *costs*: although the paper calls them rewards, positive is bad, and the learner
-multiplies them by -lambda. Every function takes any leading batch shape and reduces the last axis, which is the twelve
-joints in the order FR, FL, RR, RL x hip, thigh, calf. How torques come about is in `go1.py`, and how the cost is
-weighed against the task is in `eipo.py`.
+Sections IV-B and V-E. Both are *costs*: although the paper calls them rewards, positive is bad, and
+the learner multiplies them by -lambda. Every function takes any leading batch shape and reduces the
+last axis, which is the twelve joints in the order FR, FL, RR, RL x hip, thigh, calf. How torques
+come about is in `go1.py`, and how the cost is weighed against the task is in `eipo.py`.
 """
 
 import numpy as np
 
 HEATING = 0.7  # W / (N m)^2, Eq. (9)
 BATTERY = 42.0  # W drawn by the electronics whatever the motors do, Eq. (9)
-SURVIVAL = 200.0  # W, bonus that makes the cost of a frugal robot negative, so that falling does not pay, Eq. (9)
+# W, bonus that makes the cost of a frugal robot negative, so that falling does not pay, Eq. (9)
+SURVIVAL = 200.0
 
-# g of Eq. (9). The calf motor drives its joint through an extra 1.5:1 linkage, so a calf torque needs 2/3 of
-# the motor torque that the same hip or thigh torque needs. The paper prints no numbers (D4).
+# g of Eq. (9). The calf motor drives its joint through an extra 1.5:1 linkage, so a calf torque
+# needs 2/3 of the motor torque that the same hip or thigh torque needs. The paper prints none.
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
@@ -27,8 +28,10 @@ def mechanical_power(torque, qd, clip):
     returns (...,) [W]
     Raises ValueError for any other clip.
 
-    Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a joint that is driven
-    hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that out.
+    Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a
+        joint that is driven
+    hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that
+    out.
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)
@@ -48,7 +51,8 @@ def heating_power(torque, gear_ratio=GEAR_RATIO):
 
 
 def total_power(torque, qd, clip):
-    """Power drawn from the battery [W]: r_mechanical + r_heating + r_battery of Eq. (9), without the bonus.
+    """Power drawn from the battery [W]: r_mechanical + r_heating + r_battery of Eq. (9), without
+    the bonus.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
     """
@@ -56,7 +60,8 @@ def total_power(torque, qd, clip):
 
 
 def energy_cost(torque, qd, clip):
-    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), the total power less the survival bonus of 200.
+    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), the total power less the survival
+    bonus of 200.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
     """
@@ -64,11 +69,13 @@ def energy_cost(torque, qd, clip):
 
 
 def smoothness_cost(torque, action, qdd):
-    """The auxiliary cost of Section V-E [-]. Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7 ||qdd||^2.
+    """The auxiliary cost of Section V-E [-]. Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7
+    ||qdd||^2.
 
     torque: (..., 12) [N m]      joint torque
-    action: (..., 12) [-]        the policy's action itself, not its rate (D15: as printed)
-    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step by the step's length (D15)
+    action: (..., 12) [-]        the policy's action itself, not its rate
+    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step by the step's
+            length
     returns (...,) [-]
     """
     norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731  ||x||^2

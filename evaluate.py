@@ -1,290 +1,274 @@
-"""The paper's Figures 2 to 6 and Table I from our own runs, in the simulator that trained them.
+"""Trained policies, measured as in Sections IV-D and V: `python evaluate.py RUN...` plays episodes
+of 20 s without exploration noise, and prints a line for each run folder.
 
-    python evaluate.py RUN...                    a line per run folder: task performance, falls, speed, power
-    python evaluate.py fig2 RUN... --out DIR     fig2.png, and fig2.csv with its numbers; also fig3 to fig6 and table1
-    python evaluate.py pareto RUN... --out DIR   speed against energy per metre on `velocity`, seed by seed
-    python evaluate.py seeds RUN... --out DIR    how soon and how well the runs of one task learned, seed by seed
-    python evaluate.py gait RUN... --out DIR     how each run's robot moves its feet; joints: and what its joints do
-    python evaluate.py robust RUN... --out DIR   what each run loses where masses, friction, delays leave its training
-    python evaluate.py --commands table1         the train.py command of every run that table1 still lacks
-
-How policies are measured is in `measure.py`, and which runs a figure needs in `studies/sweep.py`.
+Each episode keeps one command. It starts from a random pose as in training, or from the nominal
+one. Noise, friction and payload are drawn as in training, but the ground is new. Every policy
+starts from the same draws. The paper's figures are drawn by `python -m lab`.
 """
 
 import argparse
-import csv
-import io
 import os
 import sys
-import time
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
+import jax
 import numpy as np
-from matplotlib.figure import Figure
+from scipy import stats
 
 if __name__ == "__main__":
-    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so what MuJoCo would draw with need not work
+    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-import measure
-from runtime import run_folder
-from studies import adopt, episodes, gait, joints, robust, seeds, statistics, sweep
+import go1_env
+import networks
+import tasks
+from runtime import policy_file, run_folder
+from runtime.flags import check_world
 
-TABLE1 = dict(zip(sweep.KINDS, ((2.86, 2.84, 2.89), (2.12, 2.12, 2.12), (1.55, 1.53, 1.56), (1.49, 1.48, 1.50),
-                          (1.58, 1.57, 1.60), (1.64, 1.63, 1.65), (1.58, 1.55, 1.60), (1.62, 1.61, 1.62),
-                          (1.45, 1.45, 1.46), (1.37, 1.37, 1.37)), strict=True))  # m/s, Table I  # fmt: skip
-HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
+SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
+EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
+SLOW = 0.05  # m/s, below which a robot has no energy per velocity
+PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
+FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
+ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
+UNITS = dict(v_x="m/s", peak="m/s", power="W", energy="J/m", pitch="degrees", roll="degrees")
 
 
-def by_command(folders, task, commands, columns, args, statistic=np.mean):
-    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes, with intervals.
+class Episodes(NamedTuple):
+    """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
-    commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command. Columns that end in
-    _nominal are means of as many episodes that start from the nominal pose. All others are of random starts.
+    performance: np.ndarray  # [-] sum of the task reward / 1000; after a fall it counts as 0 [V-A]
+    fell: np.ndarray  # 0 or 1, whether the episode ended before the time limit
+    v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
+    v_x_late: np.ndarray  # [m/s] the same in the second half; NaN if the episode ended before it
+    power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
+    energy: np.ndarray  # [J/m] power / v_x; NaN for a robot that is slower than SLOW
+    peak: np.ndarray  # [m/s] largest speed ahead
+    peak_sustained: np.ndarray  # [m/s] largest mean speed ahead of 0.2 s
+    pitch: np.ndarray  # [degrees] mean pitch of the trunk, positive with the nose up
+    roll: np.ndarray  # [degrees] mean roll of the trunk, positive with the right side down
+
+
+# ---- a policy and a world to try it in ----
+
+
+@jax.jit
+def mean_action(params, obs):
+    """The action (N, 12) [-] for obs (N, D), without exploration noise; params: networks.policy."""
+    return networks.policy(params, obs)[0]
+
+
+def deterministic(params):
+    """The policy that is evaluated: a function of obs (N, D) that returns actions (N, 12) [-]."""
+    return lambda obs: np.asarray(mean_action(params, obs))
+
+
+def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
+    """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
+    return replace(
+        env_cfg,
+        reward="paper",
+        frame="heading",
+        stagger=False,
+        episode_steps=EPISODE_STEPS,
+        command_steps=EPISODE_STEPS,
+        start_spread=0.0 if nominal else env_cfg.start_spread,
+        clip=clip or env_cfg.clip,
+        ground_seed=SEED,
+        roughness=env_cfg.roughness if roughness is None else (roughness, roughness),
+    )
+
+
+def load(folder, num_episodes, clip=None, roughness=None, nominal=False, world=go1_env.Go1Env):
+    """The `deterministic` policy of a run folder and an environment with a robot for each episode.
+
+    clip, roughness: of Eq. (9), and [m] of the ground; None for either is as in training
+    nominal:         start from the nominal pose at rest, not from random poses as in training
+    world:           world(num_envs, env_cfg) makes the environment
     """
+    params, env_cfg = policy_file.load(Path(folder) / "policy.npz")
+    env_cfg = evaluated(env_cfg, clip, roughness, nominal)
+    check_world(num_episodes, env_cfg, None)
+    return deterministic(params), world(num_episodes, env_cfg)
+
+
+# ---- episodes ----
+
+
+def steps(policy, env, command=None):
+    """One episode of every robot; yields, per step, reward, log, who was still in the episode, and
+    who fell now.
+
+    command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; with None the task draws one for each
+    """
+    obs, _ = env.reset(SEED, command)
+    alive = np.ones(env.num_envs, bool)
+    limit = env.env_cfg.episode_steps
+    for t in range(limit):
+        obs, reward, terminated, truncated, info = env.step(policy(obs))
+        yield reward, info["log"], alive, alive & terminated
+        alive = alive & ~(terminated | truncated)
+        if sys.stderr.isatty():
+            print(f"{(t + 1) / limit:.0%} played\x1b[K", end="\r", file=sys.stderr, flush=True)
+
+
+def energy_per_metre(power, v_x):
+    """Energy per velocity [J/m] of power [W] and speed ahead v_x [m/s], both (N,).
+
+    NaN for a robot that is slower than SLOW.
+    """
+    return np.divide(power, v_x, out=np.full(len(v_x), np.nan), where=v_x > SLOW)
+
+
+def run_episodes(policy, env, command=None):
+    """The Episodes of all robots of env. Arguments are those of `steps`."""
+    n, limit = env.num_envs, env.env_cfg.episode_steps
+    totals = np.zeros((6, n))
+    late = np.zeros((2, n))
+    recent = np.zeros((PEAK_STEPS, n))
+    fell = np.zeros(n, bool)
+    peak, sustained = np.full((2, n), -np.inf)
+    for t, (reward, log, alive, falls) in enumerate(steps(policy, env, command)):
+        v_x = log["v_x"]
+        ones = np.ones(n)
+        totals += np.where(alive, [reward, v_x, log["power"], log["pitch"], log["roll"], ones], 0.0)
+        if t >= limit // 2:
+            late += np.where(alive, [v_x, ones], 0.0)
+        fell |= falls
+        recent[t % PEAK_STEPS] = v_x
+        peak = np.where(alive, np.maximum(peak, v_x), peak)
+        if t + 1 >= PEAK_STEPS:
+            sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
+    performance, length = totals[0] / limit, totals[-1]
+    v_x, power, pitch, roll = totals[1:-1] / length
+    v_x_late = np.divide(late[0], late[1], out=np.full(n, np.nan), where=late[1] > 0)
+    energy = energy_per_metre(power, v_x)
+    return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
+
+
+# ---- numbers ----
+
+
+def commands_of(task):
+    """The commands (n, 3) of an evaluation: those of Figs. 2 to 4, or none where none has a v_x."""
+    return FORWARD if tasks.asks_speed(task) else np.zeros((1, 3))
+
+
+def finite_mean(x):
+    """Mean of the finite numbers of x, or NaN if there are none: J/m of the robots that move."""
+    x = np.ravel(x)[np.isfinite(np.ravel(x))]
+    return x.mean() if x.size else np.nan
+
+
+def interval(x, statistic=np.mean, **options):
+    """95 % interval (low, high) of a statistic of x (n,), by the percentile bootstrap [IV-D].
+
+    NaN if n is 1. options: as for scipy.stats.bootstrap
+    """
+    if len(x) < 2:
+        return np.nan, np.nan
+    options |= dict(method="percentile", n_resamples=2000, rng=np.random.default_rng(SEED))
+    return stats.bootstrap((x,), statistic, **options).confidence_interval
+
+
+def summary(played, nominal, commands):
+    """A dict of means over episodes from random starts or, where a name says so, nominal ones.
+
+    played, nominal: Episodes, equally many of each of commands (n, 3), one after the other
+    """
+    row = dict(performance=played.performance.mean(), fell=played.fell.mean())
+    row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
+    for name in ("v_x", "peak", "power", "energy"):
+        row[name] = finite_mean(getattr(played, name))
+    for name in ("pitch", "roll"):
+        row[name] = np.abs(getattr(played, name)).mean()
+    if len(commands) > 1:
+        speeds = played.v_x.reshape(len(commands), -1).mean(1)
+        row |= {f"v_x_at_{x:g}": v_x for x, v_x in zip(commands[:, 0], speeds, strict=True)}
+    return row
+
+
+def evaluate(folder, args):
+    """The `summary` of a run folder whose episodes are played now, and the interval of [V-A]."""
+    task = policy_file.load(folder / "policy.npz")[1].task
+    commands = commands_of(task)
     each = max(1, args.episodes // len(commands))
-    rows = []
-    for name, runs in sweep.by_label(folders, task).items():
-        both = [episodes.both_starts(folder, task, commands, each, args) for folder in runs]
-        played, nominal = zip(*both, strict=True)
-        for i, command in enumerate(commands):
-            mine = slice(i * each, (i + 1) * each)
-            row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2], seeds=len(runs), episodes=each)
-            row |= dict(fell=np.mean([e.fell[mine] for e in played]))
-            row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
-            for column in columns:
-                row |= statistics.summarise(column, [getattr(e, column)[mine] for e in played], statistic)
-                row[f"{column}_nominal"] = statistics.finite_mean([getattr(e, column)[mine] for e in nominal])
-            rows.append(row)
-    return rows
+    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
+    played, nominal = (
+        run_episodes(
+            *load(folder, each * len(commands), args.clip, roughness, start),
+            np.repeat(commands, each, 0),
+        )
+        for start in (False, True)
+    )
+    low, high = interval(played.performance, batch=100)
+    row = summary(played, nominal, commands)
+    row["performance"] = f"{row['performance']:.4g} [{low:.4g}, {high:.4g}]"
+    return dict(run=folder.name) | row
 
 
-def draw_lines(axes, rows, x, column):
-    """Draw a line for each kind of run: means (D26), in their intervals over episodes and, lighter, over seeds."""
-    names = list(dict.fromkeys(row["run"] for row in rows))
-    for i, name in enumerate(names):
-        mine = [row for row in rows if row["run"] == name]
-        at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
-        color, alpha = sweep.color(name), 0.25 if len(names) < 4 else 0.1
-        style = dict(linewidth=2.5, marker="o") if name == "EIPO" else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
-        axes.plot(at, y, color=color, label=name, markersize=4, markevery=max(1, len(at) // 10), **style)
-        for over, shade in (("", alpha), ("_seeds", alpha / 2)):
-            low, high = (np.array([row[f"{column}{over}_{end}"] for row in mine], float) for end in ("low", "high"))
-            axes.fill_between(at, low, high, color=color, alpha=shade, linewidth=0)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
+# ---- the command ----
 
 
-def draw_panels(rows, panels):
-    """A Figure with a panel over the command v_x for each (task, column, label of the y axis)."""
-    figure = Figure(figsize=(5 * len(panels), 3.6), layout="constrained")
-    for axes, (task, column, title) in zip(figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True):
-        draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
-        axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
-        if column == "energy":
-            axes.set_yscale("log")  # because a robot that is asked to stand spends much per metre
-    return figure
+def with_unit(column):
+    """A column of `summary` with its unit, for a table's head."""
+    unit = UNITS.get(column.split("_at_")[0])
+    return f"{column} [{unit}]" if unit else column
 
 
-def fig2(folders, args, task="flat"):
-    """Task performance and energy per velocity (D27) on flat ground, by command. Section V-A."""
-    rows = by_command(folders, task, measure.FORWARD, ("performance", "energy"), args)
-    return rows, draw_panels(rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")])
-
-
-def fig3(folders, args):
-    """Task performance and energy per velocity on rough ground of 15 cm, by command. Section V-B."""
-    return fig2(folders, args, "rough")
-
-
-def fig4(folders, args):
-    """Task performance of every lambda on flat and on rough ground, or on one of them if only it has runs. V-C."""
-    tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
-    if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
-        raise ValueError("none of the run folders is of the task flat or rough")
-    rows = [row for task in tasks for row in by_command(folders, task, measure.FORWARD, ("performance",), args)]
-    return rows, draw_panels(rows, [(task, "performance", "task performance") for task in tasks])
-
-
-def fig5(folders, args):
-    """Task performance and power over commands of v_x and yaw rate. Section V-E."""
-    commands = np.array([(x, 0.0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
-    rows = by_command(folders, "curriculum", commands, ("performance", "power"), args)
-    names = list(dict.fromkeys(row["run"] for row in rows))
-    figure = Figure(figsize=(3.2 * len(names) + 1, 5.6), layout="constrained")
-    panels = figure.subplots(2, len(names), squeeze=False, sharex=True, sharey=True)
-    for i, column in enumerate(("performance", "power")):
-        values = np.array([[row[column] for row in rows if row["run"] == name] for name in names]).reshape(-1, 11, 11)
-        for axes, name, value in zip(panels[i], names, values, strict=True):
-            image = axes.pcolormesh(commands[:11, 2], commands[::11, 0], value, vmin=values.min(), vmax=values.max())
-            axes.set(title=f"{name}: {'task performance' if column == 'performance' else 'power [W]'}")
-        figure.colorbar(image, ax=panels[i])
-    figure.supxlabel("command yaw rate [rad/s]")
-    figure.supylabel("command v_x [m/s]")
-    return rows, figure
-
-
-def fig6(folders, args):
-    """Mean velocity over time of the robots that have not fallen yet. Dotted: the paper's hardware (D45). Section VI.
-
-    Each point is a mean over about a period of the clock, which smooths the strides.
-    """
-    rows = []
-    for name, runs in sweep.by_label(folders, "velocity").items():
-        series = []
-        for folder in runs:
-            policy, env = measure.load(folder, args.episodes, args.clip, args.roughness, robot=args.robot)
-            played = measure.steps(policy, env)
-            v_x = np.array([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played])
-            strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
-            series.append([stride.mean(0) for stride in np.array_split(v_x, strides)])
-        time = [env.period * stride.mean() for stride in np.array_split(np.arange(len(v_x)) + 0.5, strides)]
-        rows += [dict(task="velocity", run=name, time=t, seeds=len(runs), episodes=args.episodes)
-                 | statistics.summarise("v_x", at) for t, *at in zip(time, *series, strict=True)]  # fmt: skip
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    draw_lines(axes := figure.subplots(), rows, "time", "v_x")
-    for peak in HARDWARE:
-        axes.axhline(peak, color="black", linestyle=":", linewidth=1)
-    axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
-    return rows, figure
-
-
-def table1(folders, args):
-    """Peak velocity of every lambda as an interquartile mean, both intervals, beside what the paper prints. Table I."""
-    columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
-    rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, statistics.iqm)  # D26
+def print_rows(rows):
+    """Print dicts as rows of a Markdown table, with a new head where the columns change."""
+    head = None
     for row in rows:
-        printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
-        row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)
-    at, figure = np.arange(len(rows))[::-1], Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    seeds_low, seeds_high = (np.array([row[f"peak_seeds_{end}"] for row in rows]) for end in ("low", "high"))
-    axes.hlines(at, seeds_low, seeds_high, color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds")
-    ours = dict(label="ours", fmt="o", color="#0072B2")
-    printed = dict(label="the paper's", fmt="D", color="#D55E00", markerfacecolor="none")
-    for name, style in (("peak", ours), ("paper", printed)):
-        mean, low, high = (np.array([row[c] for row in rows]) for c in (name, f"{name}_low", f"{name}_high"))
-        axes.errorbar(mean, at, xerr=np.nan_to_num([mean - low, high - mean]), capsize=3, **style)
-    axes.set(yticks=at, yticklabels=[row["run"] for row in rows], xlabel="peak velocity [m/s]")
-    axes.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=3, fontsize=8)
-    return rows, figure
-
-
-FIGURES = {
-    f.__name__: f
-    for f in (fig2, fig3, fig4, fig5, fig6, table1, seeds.pareto, seeds.seeds, gait.gait, joints.joints, robust.robust)
-}
-BATCHES = dict(fig6=1, robust=robust.BATCHES, gait=0, joints=0)  # of whole episodes for each run, where it is not 2
+        if list(row) != head:
+            head = list(row)
+            print("|", " | ".join(map(with_unit, head)), "|\n" + "|---" * len(head) + "|")
+        cells = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
+        print("|", " | ".join(cells), "|", flush=True)
 
 
 def run_folders(paths):
-    """The run folders among paths. Others are named on stderr. ValueError if one does not exist, or if none is left."""
-    paths, files = [Path(path) for path in paths], ("policy.npz", run_folder.EPISODES)
+    """The run folders among paths; the others are named on stderr.
+
+    Raises ValueError if one does not exist, or if none is left.
+    """
+    paths = [Path(path) for path in paths]
     if missing := [str(path) for path in paths if not path.exists()]:
-        raise ValueError(f"{missing[0]} does not exist: give run folders, after one of {', '.join(FIGURES)} if wanted")
-    folders = [x for x in paths if (x / "config.json").exists() and any((x / name).exists() for name in files)]
+        raise ValueError(f"{missing[0]} does not exist: give run folders, which train.py makes")
+    files = "policy.npz", run_folder.EPISODES
+    folders = [path for path in paths if any((path / name).exists() for name in files)]
     others = ", ".join(str(path) for path in paths if path not in folders)
     if not folders:
-        raise ValueError(f"nothing to evaluate: there is no run folder with a config.json and a policy.npz in {others}")
+        raise ValueError(f"nothing to evaluate: there is no folder with a policy.npz in {others}")
     if others:
-        print(f"evaluate.py: left out, without a config.json or a policy.npz: {others}", file=sys.stderr)
+        print(f"left out, without a policy.npz: {others}", file=sys.stderr)
     return folders
 
 
-@contextmanager
-def show_progress(batches):
-    """Meanwhile a terminal shows how much of so many batches of episodes is played, and how long the rest will take."""
-    start, done, left = time.monotonic(), 0, batches * measure.EPISODE_STEPS
-
-    def watch(played):
-        nonlocal done, left
-        done, left = done + played, left - (1 if played else measure.EPISODE_STEPS)
-        minutes = (time.monotonic() - start) / max(done, 1) * left / 60
-        text = f"{done / (done + left):.0%} played, {minutes:.0f} min left" if left > 0 < done else ""
-        print(f"{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
-
-    measure.watchers[:] = [watch] if batches and sys.stderr.isatty() else []
-    try:
-        yield
-    finally:
-        print("\x1b[K" * len(measure.watchers), end="", file=sys.stderr, flush=True)
-        measure.watchers.clear()
+def add_flags(parser):
+    """The flags that say how episodes are played."""
+    parser.add_argument("--episodes", type=int, default=1000, help="per run (default: 1000)")
+    parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
+    parser.add_argument("--roughness", type=float, help="m (default: of training; rough: 0.15)")
 
 
-def save(out, what, rows, figure):
-    """Write what.csv and what.png into the folder out: both, or if that fails neither."""
-    text, image = io.StringIO(newline=""), io.BytesIO()
-    writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows)
-    figure.savefig(image, dpi=150, format="png")
-
-    def write(file):  # the PNG takes its place once the CSV is written, and before it takes its own
-        file.write(text.getvalue().encode())
-        file.flush()
-        run_folder.replace_file(out / f"{what}.png", lambda png: png.write(image.getvalue()))
-
-    run_folder.replace_file(out / f"{what}.csv", write)
-    print(f"{out / what}.csv and .png")
-
-
-def draw(what, folders, args):
-    """Make a figure. Whether it and the runs can be written is tried before anything is played."""
-    if args.out and len({folder.name for folder in folders}) < len(folders):
-        raise ValueError(f"two run folders have the same name, under which {args.out} would keep both: rename one")
-    out = args.out or Path()
-    out.mkdir(parents=True, exist_ok=True)
-    for suffix in ("csv", "png"):
-        run_folder.check_writable(out / f"{what}.{suffix}")
-    save(out, what, *FIGURES[what](folders, args))
-    if args.out:
-        sweep.keep_runs(out, folders)
-
-
-def print_table(folders, args):
-    """The `seeds.overview` of each run folder: a row of a Markdown table, with a new head where the columns change."""
-    head = None
-    for folder in folders:
-        row = seeds.overview(folder, args)
-        if list(row) != head:
-            head = list(row)
-            print("|", " | ".join(map(seeds.with_unit, head)), "|\n" + "|---" * len(head) + "|")
-        print("|", " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()), "|", flush=True)
+def check_flags(args):
+    """Raise ValueError for a number of episodes that cannot be played."""
+    if not 1 <= args.episodes <= 50_000:
+        raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
 
 
 def main(argv):
-    """Evaluate, draw or list; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Evaluate and print; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="evaluate.py", description=__doc__.split("\n\n")[0])
     parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
-    parser.add_argument("runs", nargs="*", help=f"run folders, after one of {', '.join(FIGURES)} if that is wanted")
-    parser.add_argument("--commands", metavar="FIGURE [FLAG ...]",
-                        help="print the train.py commands that a figure or table1 lacks, with those flags")  # fmt: skip
-    parser.add_argument("--command", type=float, nargs="+", metavar="VX", help="m/s, that gait and joints ask for")
-    parser.add_argument("--out", type=Path, help="folder for PNG, CSV and what to keep of the runs (default: here)")
-    parser.add_argument("--episodes", type=int, default=1000, help="episodes per run (default: 1000)")
-    parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (default: as in training, D3)")
-    parser.add_argument("--roughness", type=float, help="m (default: that of training; figures of rough: 0.15)")
-    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
+    parser.add_argument("runs", nargs="+", help="run folders with a policy.npz")
+    add_flags(parser)
+    args = parser.parse_args(argv)
     try:
-        if argv[:1] == ["--commands"]:
-            print(*sweep.missing_runs("".join(argv[1:2]), argv[2:]), sep="\n")
-            return 0
-        args = parser.parse_intermixed_args(argv)
-        if not 1 <= args.episodes <= 50_000:
-            raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
-        if args.commands or not args.runs:
-            raise ValueError("give run folders, or a figure and run folders, or --commands first and then a figure")
-        args.robot = args.model and adopt.read_robot(args.model)
-        what, *paths = args.runs if args.runs[0] in FIGURES else ("", *args.runs)
-        if not paths:
-            raise ValueError(f"{what} of which runs? Give run folders")
-        if args.command and what not in ("gait", "joints"):
-            raise ValueError("--command is for gait and joints: give one of them before the run folders")
-        folders, tasks = run_folders(paths), {task for task, _ in sweep.SWEEPS.get(what, ())}
-        played = [x for x in folders if not tasks or run_folder.load_config(x)[0].task in tasks]
-        with show_progress(len(played) * BATCHES.get(what, 2)):
-            draw(what, folders, args) if what else print_table(folders, args)
+        check_flags(args)
+        print_rows(evaluate(folder, args) for folder in run_folders(args.runs))
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

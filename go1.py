@@ -1,9 +1,11 @@
-"""The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose, the kinematics of its legs and its motors.
+"""The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose, the kinematics of its legs
+and its motors.
 
-Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the joints of each as hip,
-thigh, calf, so arrays over the joints are (..., 12). The numbers are those of Unitree's URDF, or of Sections IV-C
-(gains) and V-D (torque-speed limit). `go1_env.py` calls the functions of the motors before every physics step, so that
-the torque in Eq. (9) is the torque that was applied.
+Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the
+joints of each as hip, thigh, calf, so arrays over the joints are (..., 12). The numbers are those
+of Unitree's URDF, or of Sections IV-C (gains) and V-D (torque-speed limit). `go1_env.py` calls the
+functions of the motors before every physics step, so that the torque in Eq. (9) is the torque that
+was applied.
 """
 
 from pathlib import Path
@@ -15,25 +17,36 @@ import terrain
 
 MODEL = Path(__file__).with_name("go1.xml")
 LEGS = ("FR", "FL", "RR", "RL")
-Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, action 0 [lab code]
-LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02  # m: thigh and calf length, hip to thigh, sole [URDF]
-# MIRROR @ q are the joint angles of the mirrored robot: right and left legs swap, hip angles change their sign (D28)
-MIRROR = np.kron(np.kron(np.eye(2), [[0, 1], [1, 0]]), np.diag([-1, 1, 1]))  # (12, 12)
+# rad, action 0 [lab code]
+Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
+# m: thigh and calf length, hip to thigh, sole [URDF]
+LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02
+# entry i of the mirrored robot's joint angles is MIRROR_SIGN[i] q[MIRROR[i]]: right and left legs
+# swap, hip angles change their sign
+MIRROR = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8])
+MIRROR_SIGN = np.tile([-1, 1, 1], 4)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
-HIP = np.array([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])  # m [URDF]
+# m [URDF]
+HIP = np.array(
+    [[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]]
+)
 KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, the gains of Section IV-C
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)  # N m, "effort" in the Go1's URDF
-VELOCITY_LIMIT = np.tile([30.1, 30.1, 20.06], 4)  # rad/s, "velocity" in the Go1's URDF, qd_max of Section V-D
+# rad/s, "velocity" in the Go1's URDF, qd_max of Section V-D
+VELOCITY_LIMIT = np.tile([30.1, 30.1, 20.06], 4)
 STALL_TORQUE = 33.0  # N m, Section V-D
 
 
 def leg_points(q):
-    """Where a leg may touch the ground first: the centres (..., 8, 3) [m] of each leg's knee and foot.
+    """Where a leg may touch the ground first: the centres (..., 8, 3) [m] of each leg's knee and
+    foot.
 
-    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of FOOT_RADIUS.
+    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of
+        FOOT_RADIUS.
     """
     hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
-    forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)  # of the hip, knee then foot
+    # of the hip, knee then foot
+    forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)
     up = -LINK * np.stack([np.cos(thigh), np.cos(thigh) + np.cos(thigh + calf)], -1)
     left = HIP_OFFSET * SIDE[:, None]
     sin, cos = np.sin(hip)[..., None], np.cos(hip)[..., None]
@@ -52,14 +65,24 @@ def build_model(timestep, ground, robot=None):
     if ground is not None:
         low, high = ground.min(), ground.max()
         half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
-        spec.add_hfield(name="ground", size=[*half, high - low, 0.1], nrow=ground.shape[0],
-                        ncol=ground.shape[1], userdata=ground.ravel())  # fmt: skip
-        # A height field is made of prisms. A foot that sinks in too deep is pushed out of one prism sideways into the
-        # next and stays stuck. So the feet's contacts are as stiff as a timestep of 5 ms allows (D12).
+        spec.add_hfield(
+            name="ground",
+            size=[*half, high - low, 0.1],
+            nrow=ground.shape[0],
+            ncol=ground.shape[1],
+            userdata=ground.ravel(),
+        )
+        # A height field is made of prisms. A foot that sinks in too deep is pushed out of one prism
+        # sideways into the next and stays stuck. So the feet's contacts are as stiff as a timestep
+        # of 5 ms allows (D12).
         for leg in LEGS:
             spec.geom(f"{leg}_foot").solref = [0.01, 1.0]
         floor = spec.geom("floor")
-        floor.type, floor.hfieldname, floor.pos = mujoco.mjtGeom.mjGEOM_HFIELD, "ground", [*half, low]
+        floor.type, floor.hfieldname, floor.pos = (
+            mujoco.mjtGeom.mjGEOM_HFIELD,
+            "ground",
+            [*half, low],
+        )
     return spec.compile()
 
 
@@ -78,9 +101,11 @@ def motor_model(target, q, qd):
     """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
 
     target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
-    Deviation D11: the paper's network is not public. This function and the torque-speed limit after it approximate the
-    lab's published network for position errors below about 0.5 rad. It is a PD controller with 0.2 N m s / rad more
-    damping. That network saturates earlier, at 18 N m for 1 rad. A network can take the place of this function.
+    Deviation D11: the paper's network is not public. This function and the torque-speed limit after
+        it approximate the
+    lab's published network for position errors below about 0.5 rad. It is a PD controller with 0.2
+    N m s / rad more damping. That network saturates earlier, at 18 N m for 1 rad. A network can
+    take the place of this function.
     """
     return KP * (target - q) - (KD + 0.2) * qd
 
@@ -89,7 +114,8 @@ def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 
     qd, qd_max: (..., 12) [rad/s]; returns (..., 12) [N m].
-    Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max, which means nothing.
+    Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max, which
+        means nothing.
     """
     return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
 

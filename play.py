@@ -1,9 +1,11 @@
-"""Look at a policy: `python play.py RUN` opens MuJoCo's viewer, `python play.py RUN --gif FILE` needs no display.
+"""Look at a policy: `python play.py RUN` opens MuJoCo's viewer, `python play.py RUN --gif FILE`
+needs no display.
 
 --slow 4 shows it four times slower, and --forces draws the forces of the ground on the feet.
 
-In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s of yaw rate;
-backspace sets it to 0. With --follow the robot gets every new policy that a run saves while it trains.
+In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
+of yaw rate; backspace sets it to 0. With --follow the robot gets every new policy that a run saves
+while it trains.
 """
 
 import argparse
@@ -17,7 +19,9 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-HEADLESS = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+HEADLESS = sys.platform == "linux" and not (
+    os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+)
 if HEADLESS:  # MuJoCo decides on import how it will draw
     backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
@@ -25,33 +29,104 @@ if HEADLESS:  # MuJoCo decides on import how it will draw
 try:
     import mujoco
     import mujoco.viewer
-except (RuntimeError, AttributeError, OSError) as error:  # MuJoCo does not know a value, or lacks its library
-    print(f"play.py: MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not work, so unset it: {error}", file=sys.stderr)
+# MuJoCo does not know a value, or lacks its library
+except (RuntimeError, AttributeError, OSError) as error:
+    print(
+        f"play.py: MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not work, so unset it: {error}",
+        file=sys.stderr,
+    )
     sys.exit(2)
 import numpy as np
 from PIL import Image, ImageDraw
 
+import evaluate
 import go1_env
-import measure
 import tasks
+import terrain
 from runtime import policy_file, run_folder
-from runtime.scene import ORANGE, caption, make_scene, point, show
-from studies import adopt
+from runtime.flags import check_world
 
-KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}  # up, down, left, right: GLFW's codes
+# up, down, left, right: GLFW's codes
+KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
-SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64  # of a GIF; four seconds on rough ground take 2 MB
+# of a GIF; four seconds on rough ground take 2 MB
+SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64
+NEWTON, ORANGE = 0.004, (255, 115, 0)  # of the arrows for contact forces: m per newton, and colour
+AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 
 
-def make_env(env_cfg, roughness=None, robot=None):
-    """One robot on one tile, without a time limit. roughness: [m], or None for the greatest of the run."""
+def make_env(env_cfg, roughness=None, world=go1_env.Go1Env):
+    """One robot on one tile, without a time limit.
+
+    roughness: [m], or None for the greatest of the run; world(num_envs, env_cfg) makes it
+    """
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(env_cfg, **changes), 1, robot)
+    env_cfg = replace(env_cfg, **changes)
+    check_world(1, env_cfg, None)
+    return world(1, env_cfg)
+
+
+# ---- one robot as MuJoCo draws it ----
+
+
+def make_scene(env):
+    """Model and data to draw env with. The robot's tile is repeated, so that the ground goes on as
+    far as one sees.
+    """
+    ground = env.ground
+    if ground is not None:
+        margin = round(terrain.APRON / terrain.SPACING)
+        ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
+    model = env.build_model(ground)
+    model.vis.map.force, model.vis.rgba.contactforce[:3] = NEWTON, np.array(ORANGE) / 255
+    return model, mujoco.MjData(model)
+
+
+def show(env, model, data):
+    """Put the drawn robot where the simulated one is, on the middle tile; the same torques make the
+    same forces.
+    """
+    state = env.state
+    model.body_mass[:], model.body_ipos[:], model.geom_friction[:] = (
+        state.mass[0],
+        state.com[0],
+        state.friction[0],
+    )
+    # of the trunk and its legs: the camera looks at their centre
+    model.body_subtreemass[1] = state.mass[0].sum()
+    model.opt.gravity[:] = state.gravity[0]
+    data.qpos[:], data.qvel[:], data.ctrl[:] = env.qpos[0], env.qvel[0], env.ctrl[0]
+    if env.ground is not None:
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(state.tile[0])
+    mujoco.mj_forward(model, data)
+
+
+def point(camera, env, model):
+    """Let a camera follow the trunk, from the front right of where the robot heads now."""
+    w, x, y, z = env.qpos[0, 3:7]
+    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
+    camera.distance, camera.elevation = 1.7, -20.0
+    camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def caption(log, command):
+    """One line that says what the robot is asked to do and what it does."""
+    asked = "  ".join(
+        f"{x:.1f} {unit}"
+        for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True)
+        if x
+    )
+    asked = f"asked {asked}   " if asked else ""
+    return f"{asked}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
+
+
+# ---- the policy at work ----
 
 
 def play(env, folder, command, follow=False):
-    """Run the deterministic policy of a run folder forever; yields the log of each control step (see Go1Env.step).
+    """Run the deterministic policy of a run folder forever; yields the log of each control step
+    (see Go1Env.step).
 
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place
     follow:  whether to load policy.npz again whenever training has written a new one
@@ -60,14 +135,19 @@ def play(env, folder, command, follow=False):
     obs, _ = env.reset(0, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded, policy = path.stat().st_mtime_ns, measure.deterministic(policy_file.load(path)[0])
+            loaded, policy = (
+                path.stat().st_mtime_ns,
+                evaluate.deterministic(policy_file.load(path)[0]),
+            )
         env.state.command[:] = env.state.given[:] = command
         obs, _, _, _, info = env.step(policy(obs))
         yield info["log"]
 
 
 def watch(env, steps, command, slow=1.0, forces=False):
-    """Show steps (an iterator of `play`) in the viewer, `slow` times slower than they are, until it is closed."""
+    """Show steps (an iterator of `play`) in the viewer, `slow` times slower than they are, until it
+    is closed.
+    """
 
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
@@ -91,7 +171,9 @@ def watch(env, steps, command, slow=1.0, forces=False):
 
 
 def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
-    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not shown."""
+    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not
+    shown.
+    """
     model, data = make_scene(env)
     images, camera, options = [], mujoco.MjvCamera(), mujoco.MjvOption()
     options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
@@ -110,7 +192,12 @@ def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
                     ImageDraw.Draw(first).rectangle((0, 0, 30, 30), fill=ORANGE)
                 palette = first.quantize(COLOURS, dither=Image.Dither.NONE)
             images.append(image.quantize(dither=Image.Dither.NONE, palette=palette))
-    gif = dict(save_all=True, append_images=images[1:], duration=round(1000 * env.period * every * slow), loop=0)
+    gif = dict(
+        save_all=True,
+        append_images=images[1:],
+        duration=round(1000 * env.period * every * slow),
+        loop=0,
+    )
     run_folder.replace_file(path, lambda file: images[0].save(file, "GIF", **gif))
 
 
@@ -120,10 +207,15 @@ def check_drawing(gif):
         if Path(gif).suffix.lower() != ".gif":
             raise ValueError(f"--gif is {gif!r}: it must end in .gif")
         run_folder.check_writable(Path(gif))
-    if sys.platform == "linux" and (gif is None or os.environ.get("MUJOCO_GL", "").lower() not in ("egl", "osmesa")):
+    if sys.platform == "linux" and (
+        gif is None or os.environ.get("MUJOCO_GL", "").lower() not in ("egl", "osmesa")
+    ):
         with warnings.catch_warnings(action="ignore"):
             if not mujoco.viewer.glfw.init():  # the viewer would end the process
-                raise ValueError("no display answers: give --gif FILE, with libegl1 and without DISPLAY and MUJOCO_GL")
+                raise ValueError(
+                    "no display answers: give --gif FILE, with libegl1 and without DISPLAY "
+                    "and MUJOCO_GL"
+                )
 
 
 def parse(argv):
@@ -133,25 +225,43 @@ def parse(argv):
     parser.add_argument("run", help="run folder with a policy.npz")
     parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
-    asked = dict(type=float, nargs=3, metavar=("VX", "VY", "YAW"), help="m/s, rad/s (default: the task's greatest)")
+    asked = dict(
+        type=float,
+        nargs=3,
+        metavar=("VX", "VY", "YAW"),
+        help="m/s, rad/s (default: the task's greatest)",
+    )
     parser.add_argument("--command", **asked)
-    parser.add_argument("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
-    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (studies/adopt.py)")
-    parser.add_argument("--slow", type=float, default=1.0, help="show it so many times slower (default: 1)")
-    parser.add_argument("--forces", action="store_true", help="draw the forces of the ground on the robot")
-    parser.add_argument("--follow", action="store_true", help="load every new policy while training runs")
+    parser.add_argument(
+        "--roughness", type=float, help="m, of the ground (default: the greatest of the run)"
+    )
+    parser.add_argument(
+        "--slow", type=float, default=1.0, help="show it so many times slower (default: 1)"
+    )
+    parser.add_argument(
+        "--forces", action="store_true", help="draw the forces of the ground on the robot"
+    )
+    parser.add_argument(
+        "--follow", action="store_true", help="load every new policy while training runs"
+    )
     return parser.parse_args(argv)
 
 
-def main(argv):
-    """Play or draw; returns the exit status."""
+def main(argv, world=go1_env.Go1Env):
+    """Play or draw; returns the exit status. world: see `make_env`."""
     args = parse(argv)
     try:
         env_cfg = policy_file.load(Path(args.run) / "policy.npz")[1]
-        env = make_env(env_cfg, args.roughness, args.model and adopt.read_robot(args.model))
+        env = make_env(env_cfg, args.roughness, world)
         command = np.array(args.command, float) if args.command else tasks.example(env_cfg.task)
-        if not (np.abs(command) <= 10).all() or not 0.1 <= args.seconds <= 600 or not 0.1 <= args.slow <= 100:
-            raise ValueError("--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100")
+        if (
+            not (np.abs(command) <= 10).all()
+            or not 0.1 <= args.seconds <= 600
+            or not 0.1 <= args.slow <= 100
+        ):
+            raise ValueError(
+                "--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100"
+            )
         if warning := tasks.untrained(env_cfg.task, command):
             print(f"play.py: {args.run}: {warning}", file=sys.stderr)
         check_drawing(args.gif)
@@ -163,7 +273,10 @@ def main(argv):
     except KeyboardInterrupt:
         return 130
     except (ImportError, AttributeError, mujoco.FatalError) as error:
-        print(f"play.py: OpenGL does not work: {error}; install libegl1 or libosmesa6", file=sys.stderr)
+        print(
+            f"play.py: OpenGL does not work: {error}; install libegl1 or libosmesa6",
+            file=sys.stderr,
+        )
         return 2
     except (ValueError, OSError, RuntimeError) as error:
         print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)

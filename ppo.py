@@ -1,7 +1,8 @@
-"""Proximal policy optimization: the update of a policy from one rollout, in lines 9 and 11 of Algorithm 1.
+"""Proximal policy optimization: the update of a policy from one rollout, in lines 9 and 11 of
+Algorithm 1.
 
-It knows nothing of EIPO. It takes one advantage for each sample, in which the streams of `eipo.py` are mixed already.
-The widths D, P, A and K are those of `networks.py`. Everything here is compiled.
+It knows nothing of EIPO. It takes one advantage for each sample, in which the streams of `eipo.py`
+are mixed already. The widths D, P, A and K are those of `networks.py`. Everything here is compiled.
 """
 
 from functools import partial
@@ -11,45 +12,48 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from networks import init_mlp, log_prob, policy, value
+from networks import init_params, log_prob, policy, value
 from runtime.parallel import average, compiled
 
-LOG_STD_RANGE = (-4.0, 1.0)  # [ours] of log_std, so that the policy's noise can neither vanish nor explode (D40)
-LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
+# [ours] of log_std, so that the policy's noise can neither vanish nor explode
+LOG_STD_RANGE = (-4.0, 1.0)
+# of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
+LR_RANGE = (1e-5, 1e-3)
 
 
 class Learner(NamedTuple):
     """A policy and what its training keeps."""
 
-    params: dict  # {"actor": {"layers", "log_std"}, "critic": layers, "estimator": layers}
+    params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
-    lr: jax.Array  # () Adam's step size now, one for all three networks (D32)
+    lr: jax.Array  # () Adam's step size now, one for all three networks
 
 
-@partial(jax.jit, static_argnames=("sizes", "heads", "cfg"))
-def init_learner(key, sizes, heads, cfg):
+@partial(jax.jit, static_argnames=("sizes", "mirror", "heads", "cfg"))
+def init_learner(key, sizes, mirror, heads, cfg):
     """A new Learner, whose networks are random.
 
-    sizes: for each of obs, privileged and action, how many coordinates are even and how many odd (see `networks.py`)
-    heads: K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task) (D30)
+    sizes:  widths (D, P, A) of an observation, of the privileged part and of an action
+    mirror: networks.Mirror, or None for plain MLPs
+    heads:  K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task)
     """
-    obs, privileged, action = sizes
-    both = obs[0] + privileged[0], obs[1] + privileged[1]
-    hidden, hidden_estimator = ([(n // 2, n // 2) if obs[1] else (n, 0) for n in widths]
-                                for widths in (cfg.hidden, cfg.hidden_estimator))  # fmt: skip
-    k_actor, k_critic, k_estimator = jax.random.split(key, 3)
-    actor = init_mlp(k_actor, (both, *hidden, action))
-    critic = init_mlp(k_critic, (both, *hidden, (heads, 0)))
-    estimator = init_mlp(k_estimator, (obs, *hidden_estimator, privileged))
-    log_std = jnp.full(action[0], cfg.log_std, jnp.float32)
-    params = dict(actor=dict(layers=actor, log_std=log_std), critic=critic, estimator=estimator)
+    params = init_params(key, sizes, mirror, heads, cfg)
     return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
 
 
 def optimizer(cfg):
-    """Adam without its step size. Gradients are clipped network by network (D39), non-finite ones are skipped (D44)."""
-    clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in ("actor", "critic", "estimator")}
-    direction = optax.chain(optax.partition(clip, {name: name for name in clip}), optax.scale_by_adam(b1=0.9, b2=0.999))
+    """Adam without its step size.
+
+    Gradients are clipped network by network, and non-finite ones are skipped.
+    """
+    networks = "actor", "critic", "estimator"
+    clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in networks}
+
+    def labels(params):  # what is no network, the mirror, has nothing to learn
+        return params | {name: name for name in networks}
+
+    adam = optax.scale_by_adam(b1=0.9, b2=0.999)
+    direction = optax.chain(optax.partition(clip, labels), adam)
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
@@ -58,22 +62,38 @@ def ppo_update(learner, tau, estimate, advantage, key, cfg):
 
     log: the means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
 
-    advantage: (T, N), mixed. It is normalised here, once (D43). Each epoch shuffles the samples anew (D41).
+    advantage: (T, N), mixed. It is normalised here, once. Each epoch shuffles the samples
+        anew.
     """
-    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, advantage=advantage,
-                target=estimate.target, log_prob=estimate.log_prob)  # fmt: skip
+    data = dict(
+        obs=tau.obs,
+        privileged=tau.privileged,
+        action=tau.action,
+        advantage=advantage,
+        target=estimate.target,
+        log_prob=estimate.log_prob,
+    )
     return ppo_epochs(learner, data, key, cfg)
 
 
 @compiled
 def ppo_epochs(learner, data, key, cfg):
-    """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the processes."""
+    """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the
+    processes.
+    """
     advantage = data["advantage"] - global_mean(data["advantage"])
     advantage = advantage / (jnp.sqrt(global_mean(jnp.square(advantage))) + 1e-8)
     size = advantage.size
-    data = {name: x.reshape(size, *x.shape[2:]) for name, x in (data | dict(advantage=advantage)).items()}
-    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(jax.random.split(key, cfg.num_epochs))
-    minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
+    data = {
+        name: x.reshape(size, *x.shape[2:])
+        for name, x in (data | dict(advantage=advantage)).items()
+    }
+    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(
+        jax.random.split(key, cfg.num_epochs)
+    )
+    minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(
+        cfg.num_epochs * cfg.num_minibatches, -1
+    )
 
     def step(learner, chosen):
         batch = {name: x[chosen] for name, x in data.items()}
@@ -84,7 +104,9 @@ def ppo_epochs(learner, data, key, cfg):
         return Learner(params, opt_state, learner.lr), log
 
     learner, log = jax.lax.scan(step, learner, minibatches)
-    log = {name: x.mean() for name, x in log.items()} | dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
+    log = {name: x.mean() for name, x in log.items()} | dict(
+        skipped=learner.opt_state.total_notfinite, lr=learner.lr
+    )
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 
@@ -94,16 +116,23 @@ def global_mean(x):
 
 
 def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. Each network learns from its own term; values are not clipped (D31)."""
+    """Loss of a minibatch, and what to log. Each network learns from its own term; values are not
+    clipped.
+    """
     mean, std, velocity = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    value_loss = jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"]).sum(-1).mean()
+    value_loss = (
+        jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"])
+        .sum(-1)
+        .mean()
+    )
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
-    kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new) from the samples and is never negative
+    # estimates KL(old, new) from the samples and is never negative
+    kl = (ratio - 1 - log_ratio).mean()
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
 
 
@@ -113,7 +142,9 @@ def clipped_surrogate(ratio, advantage, clip_eps):
 
 
 def adapt_lr(lr, kl, cfg):
-    """The next step size: smaller if the policy moved too far, larger if it hardly moved. The lab's rule (D20, D32)."""
+    """The next step size: smaller if the policy moved too far, larger if it hardly moved. The lab's
+    rule (D20).
+    """
     if cfg.target_kl == 0:
         return lr
     factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))

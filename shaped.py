@@ -1,6 +1,8 @@
-"""The shaped reward of reference [5], a baseline of Section V-E: two terms for tracking, and ten for a good gait.
+"""The shaped reward of reference [5], a baseline of Section V-E: two terms for tracking, and ten
+for a good gait.
 
-Terms and weights are those of the lab's code (D5). `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
+Terms and weights are those of the lab's code. `train.py --reward shaped` trains on it instead
+of Eqs. (5) to (8).
 """
 
 from typing import NamedTuple
@@ -10,11 +12,24 @@ import numpy as np
 import rewards
 import terrain
 
-WEIGHTS = dict(linear=1.0, angular=0.5, v_z=-2.0, roll_pitch_rate=-0.05, tilt=-5.0, torque=-1e-4, qdd=-2.5e-7,
-              height=-30.0, air_time=1.0, collisions=-1.0, action_change=-0.01, joint_limits=-10.0)  # fmt: skip
+WEIGHTS = dict(
+    linear=1.0,
+    angular=0.5,
+    v_z=-2.0,
+    roll_pitch_rate=-0.05,
+    tilt=-5.0,
+    torque=-1e-4,
+    qdd=-2.5e-7,
+    height=-30.0,
+    air_time=1.0,
+    collisions=-1.0,
+    action_change=-0.01,
+    joint_limits=-10.0,
+)
 HEIGHT = 0.34  # m, of the trunk above the ground
 SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
-LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)  # contact sensors of go1.xml: of thighs and calves; of feet
+# contact sensors of go1.xml: of thighs and calves; of feet
+LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)
 
 
 class Motion(NamedTuple):
@@ -36,20 +51,32 @@ class Motion(NamedTuple):
 
 
 def observe(env, velocity, action_before, qd_before):
-    """The Motion of a Go1Env's robots after a control step. *_before: (N, 12) action, qd [rad/s] of a step ago."""
+    """The Motion of a Go1Env's robots after a control step. *_before: (N, 12) action, qd [rad/s] of
+    a step ago.
+    """
     ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
     return Motion(
-        velocity=velocity, command=env.state.command, v_z=env.body_velocity()[:, 2], roll_pitch_rate=env.qvel[:, 3:5],
-        gravity=env.felt_gravity(), torque=env.ctrl, qdd=(env.qvel[:, 6:] - qd_before) / env.period,
-        height=env.qpos[:, 2] - ground, landed=landings(env.state.off_ground, env.contacts[:, FEET] > 0, env.period),
-        collisions=(env.contacts[:, LEGS] > 0).sum(-1), action_change=env.state.action - action_before,
-        q=env.qpos[:, 7:], joint_range=env.joint_range)  # fmt: skip
+        velocity=velocity,
+        command=env.state.command,
+        v_z=env.body_velocity()[:, 2],
+        roll_pitch_rate=env.qvel[:, 3:5],
+        gravity=env.felt_gravity(),
+        torque=env.ctrl,
+        qdd=(env.qvel[:, 6:] - qd_before) / env.period,
+        height=env.qpos[:, 2] - ground,
+        landed=landings(env.state.off_ground, env.contacts[:, FEET] > 0, env.period),
+        collisions=(env.contacts[:, LEGS] > 0).sum(-1),
+        action_change=env.state.action - action_before,
+        q=env.qpos[:, 7:],
+        joint_range=env.joint_range,
+    )
 
 
 def landings(off_ground, touch, period):
     """How long each foot that lands now was in the air, and 0 for the other feet: (N, 4) [s].
 
-    off_ground: (N, 4) int, control steps since each foot touched the ground. It is updated in place and begins as 1
+    off_ground: (N, 4) int, control steps since each foot touched the ground. It is updated in place
+        and begins as 1
     touch:      (N, 4) bool, which feet are on the ground now
     period:     [s] of a control step
     A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].
@@ -60,17 +87,27 @@ def landings(off_ground, touch, period):
 
 
 def terms(m):
-    """The terms of the shaped reward before their weights, a dict of (...,) in the order of WEIGHTS. m: Motion."""
+    """The terms of the shaped reward before their weights, a dict of (...,) in the order of
+    WEIGHTS. m: Motion.
+    """
     norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731
     linear, angular = rewards.kernels(m.velocity, m.command)
     moving = np.linalg.norm(m.command[..., :2], axis=-1) > 0.1
     middle, half = m.joint_range.mean(0), SOFT_LIMIT * np.diff(m.joint_range, axis=0)[0] / 2
     return dict(
-        linear=linear, angular=angular, v_z=m.v_z**2, roll_pitch_rate=norm2(m.roll_pitch_rate),
-        tilt=norm2(m.gravity[..., :2]), torque=norm2(m.torque), qdd=norm2(m.qdd), height=(m.height - HEIGHT) ** 2,
-        air_time=np.where(m.landed > 0, m.landed - 0.5, 0.0).sum(-1) * moving, collisions=m.collisions,
+        linear=linear,
+        angular=angular,
+        v_z=m.v_z**2,
+        roll_pitch_rate=norm2(m.roll_pitch_rate),
+        tilt=norm2(m.gravity[..., :2]),
+        torque=norm2(m.torque),
+        qdd=norm2(m.qdd),
+        height=(m.height - HEIGHT) ** 2,
+        air_time=np.where(m.landed > 0, m.landed - 0.5, 0.0).sum(-1) * moving,
+        collisions=m.collisions,
         action_change=norm2(m.action_change),
-        joint_limits=np.maximum(np.abs(m.q - middle) - half, 0.0).sum(-1))  # fmt: skip
+        joint_limits=np.maximum(np.abs(m.q - middle) - half, 0.0).sum(-1),
+    )
 
 
 def reward(m):

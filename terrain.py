@@ -1,12 +1,13 @@
 """Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
 
-The paper says that the ground is Perlin noise, and how rough it is on each task. We take roughness to be the height
-from the lowest to the highest point of a tile. The paper does not say how fine the noise is. The lab's code has 4 cells
-per metre, and 1 in the file of its EIPO code (D22).
+The paper says that the ground is Perlin noise, and how rough it is on each task. We take roughness
+to be the height from the lowest to the highest point of a tile. The paper does not say how fine the
+noise is. The lab's code has 4 cells per metre, and 1 in the file of its EIPO code.
 
-All robots share one height field, a row of square tiles, each with its own roughness. A tile is periodic: where a robot
-leaves it, the ground goes on as at the opposite edge, and there the robot is put. So no robot runs off the world. Each
-tile has an apron, which continues it on all sides, for feet that are past the edge while the trunk is not.
+All robots share one height field, a row of square tiles, each with its own roughness. A tile is
+periodic: where a robot leaves it, the ground goes on as at the opposite edge, and there the robot
+is put. So no robot runs off the world. Each tile has an apron, which continues it on all sides, for
+feet that are past the edge while the trunk is not.
 """
 
 import numpy as np
@@ -18,21 +19,28 @@ SPACING = 0.05  # m, between two points of the height field [lab code]
 
 
 def fade(t):
-    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3. It rises from 0 at 0 to 1 at 1, both with slope and curvature 0."""
+    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3. It rises from 0 at 0 to 1 at 1, both with slope and
+    curvature 0.
+    """
     return t**3 * (t * (6 * t - 15) + 10)
 
 
 def random_gradients(rng, cells):
-    """Random unit vectors (cells, cells, 2), one for each point of a periodic lattice. rng: numpy Generator."""
+    """Random unit vectors (cells, cells, 2), one for each point of a periodic lattice. rng: numpy
+    Generator.
+    """
     angle = rng.uniform(0, 2 * np.pi, (cells, cells))
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def perlin(x, y, gradients):
-    """Perlin noise (...,) [-]. Each corner of a cell gives a plane that is 0 there; the four are faded into each other.
+    """Perlin noise (...,) [-]. Each corner of a cell gives a plane that is 0 there; the four are
+    faded into each other.
 
-    x, y:      (...,) [cells] where to take the noise; it is 0 at the lattice points, where both are whole numbers
-    gradients: (n, m, 2) slopes of the planes of the lattice points, repeated with period n in x and m in y
+    x, y:      (...,) [cells] where to take the noise; it is 0 at the lattice points, where both are
+               whole numbers
+    gradients: (n, m, 2) slopes of the planes of the lattice points, repeated with period n in x and
+        m in y
     """
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
     u, v = x - i, y - j
@@ -42,11 +50,15 @@ def perlin(x, y, gradients):
         return gradient[..., 0] * (u - a) + gradient[..., 1] * (v - b)
 
     s, t = fade(u), fade(v)
-    return (1 - t) * ((1 - s) * corner(0, 0) + s * corner(1, 0)) + t * ((1 - s) * corner(0, 1) + s * corner(1, 1))
+    return (1 - t) * ((1 - s) * corner(0, 0) + s * corner(1, 0)) + t * (
+        (1 - s) * corner(0, 1) + s * corner(1, 1)
+    )
 
 
 def tile(rng, roughness, cells_per_m=4):
-    """Heights (n, n) [m] of one tile, n = TILE / SPACING. roughness: [m] from its lowest to its highest point."""
+    """Heights (n, n) [m] of one tile, n = TILE / SPACING. roughness: [m] from its lowest to its
+    highest point.
+    """
     gradients = random_gradients(rng, round(TILE * cells_per_m))
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
     noise = perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
@@ -54,26 +66,34 @@ def tile(rng, roughness, cells_per_m=4):
 
 
 def make_ground(roughness, seed=0, cells_per_m=4):
-    """The height field (ny, nx) [m] of all tiles, which follow each other along x. Each has noise of its own.
+    """The height field (ny, nx) [m] of all tiles, which follow each other along x. Each has noise
+    of its own.
 
-    roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j SPACING.
+    roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j
+        SPACING.
     """
     rng, margin = np.random.default_rng(seed), round(APRON / SPACING)
     return np.hstack([np.pad(tile(rng, r, cells_per_m), margin, mode="wrap") for r in roughness])
 
 
 def origin(index):
-    """The corner (..., 2) [m] where the tile `index` (...,) begins. It ends TILE further in x and in y."""
+    """The corner (..., 2) [m] where the tile `index` (...,) begins. It ends TILE further in x and
+    in y.
+    """
     return np.stack([PITCH * index + APRON, np.full(np.shape(index), APRON)], -1)
 
 
 def wrap(xy, index):
-    """The point (..., 2) [m] inside the tile `index` (...,) around which the ground is as around xy (..., 2) [m]."""
+    """The point (..., 2) [m] inside the tile `index` (...,) around which the ground is as around xy
+    (..., 2) [m].
+    """
     corner = origin(index)
     return xy - TILE * np.floor((xy - corner) / TILE)
 
 
 def height(ground, xy):
-    """Height (...,) [m] of the height field `ground` at xy (..., 2) [m], linear between its points."""
+    """Height (...,) [m] of the height field `ground` at xy (..., 2) [m], linear between its
+    points.
+    """
     flat = xy.reshape(-1, 2).T / SPACING
     return map_coordinates(ground, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])

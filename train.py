@@ -1,8 +1,9 @@
-"""The command line: `python train.py --task flat` trains a policy and keeps everything in a run folder.
+"""The command line: `python train.py --task flat` trains a policy and keeps everything in a run
+folder.
 
-`runtime/flags.py` has the flags, and `runtime/run_folder.py` says what is in a run folder. A run that was stopped, by
-Ctrl-C or by kill -9, goes on from its last checkpoint with --resume, and ends with the same bits as one that was never
-stopped.
+`runtime/flags.py` has the flags, and `runtime/run_folder.py` says what is in a run folder. A run
+that was stopped, by Ctrl-C or by kill -9, goes on from its last checkpoint with --resume, and ends
+with the same bits as one that was never stopped.
 """
 
 import json
@@ -16,7 +17,8 @@ from pathlib import Path
 from runtime.interrupt import leave, say, stop_at_boundary, stop_imports
 
 if __name__ == "__main__":
-    os.environ["MUJOCO_GL"] = "off"  # training draws no robot, so what MuJoCo would draw with need not work
+    # training draws no robot, so what MuJoCo would draw with need not work
+    os.environ["MUJOCO_GL"] = "off"
     stop_imports()
 
 import jax
@@ -25,34 +27,45 @@ import numpy as np
 import curriculum
 import eipo
 import go1_env
-from runtime import limits, metrics, mirror, parallel, policy_file, run_folder
-from runtime.flags import CONFIGS, Options, parse, settle
-from runtime.settings import check_learner, tuples
+import networks
+from runtime import metrics, parallel, policy_file, run_folder
+from runtime.flags import CONFIGS, Options, check_learner, check_world, parse, settle, tuples
 
-GIVE_UP = 10  # [ours] training ends with an error after so many iterations without one finite gradient (D44)
+# [ours] training ends with an error after so many iterations without one finite gradient
+GIVE_UP = 10
 
 
 def settle_resumed(folder, given_env, given_learner):
-    """The Configs of the run in folder, with iterations raised if that was given. ValueError for other changes."""
+    """The Configs of the run in folder, with iterations raised if that was given. ValueError for
+    other changes.
+    """
     env_cfg, cfg = run_folder.load_config(folder)
     for name, x in (given_env | given_learner).items():
         was = (asdict(env_cfg) | asdict(cfg))[name]
         if x != was and not (name == "iterations" and x > was):
             flag = "--" + name.replace("_", "-")
-            raise ValueError(f"{folder} runs with {flag} {was}, not {x}: --resume can only raise --iterations")
+            raise ValueError(
+                f"{folder} runs with {flag} {was}, not {x}: --resume can only raise --iterations"
+            )
     return env_cfg, replace(cfg, iterations=given_learner.get("iterations", cfg.iterations))
 
 
 def run_path(options, env_cfg, cfg):
-    """The run folder: what --out says, or a name made of task, algorithm, lambda, variant and seed."""
+    """The run folder: what --out says, or a name made of task, algorithm, lambda, variant
+    and seed.
+    """
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
     usual = settle(dict(task=env_cfg.task), {})[1].num_envs
     variant += f"-{cfg.num_envs}envs" if cfg.num_envs != usual else ""
-    return Path(options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}")
+    return Path(
+        options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
+    )
 
 
 def prepare(options, given_env, given_learner):
-    """Check what is given, and that it fits what the run folder holds; returns folder, tasks.Config, eipo.Config."""
+    """Check what is given, and that it fits what the run folder holds; returns folder,
+    tasks.Config, eipo.Config.
+    """
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
     env_cfg, cfg = settle(given_env, given_learner)
@@ -61,59 +74,97 @@ def prepare(options, given_env, given_learner):
         return folder, env_cfg, cfg  # process 0 tells what the folder holds
     if options.resume:
         if not (folder / "checkpoint.npz").exists():
-            raise ValueError(f"{folder} holds no checkpoint to resume: check --out, or start there without --resume")
+            raise ValueError(
+                f"{folder} holds no checkpoint to resume: check --out, or start there "
+                "without --resume"
+            )
         env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
     check_learner(cfg, max(1, options.processes or 1))
-    limits.check_world(cfg.num_envs, env_cfg, options.threads)
+    check_world(cfg.num_envs, env_cfg, options.threads)
     return folder, env_cfg, cfg
 
 
 def agree(options, env_cfg, cfg):
-    """tasks.Config and eipo.Config of process 0, for all processes. ValueError if another one has other flags."""
-    mine = dict(resume=options.resume, checkpoint_every=options.checkpoint_every) | asdict(env_cfg) | asdict(cfg)
-    first, *others = (json.loads(str(own["flags"])) for own in parallel.gather(dict(flags=json.dumps(mine))))
+    """tasks.Config and eipo.Config of process 0, for all processes. ValueError if another one has
+    other flags.
+    """
+    mine = (
+        dict(resume=options.resume, checkpoint_every=options.checkpoint_every)
+        | asdict(env_cfg)
+        | asdict(cfg)
+    )
+    first, *others = (
+        json.loads(str(own["flags"])) for own in parallel.gather(dict(flags=json.dumps(mine)))
+    )
     for process, other in enumerate(others, 1):
         for name, x in first.items():
-            resumed = options.resume and name not in ("resume", "checkpoint_every")  # then process 0 read all others
+            # then process 0 read all others
+            resumed = options.resume and name not in ("resume", "checkpoint_every")
             if other[name] != x and not resumed:
                 flag = "--" + name.replace("_", "-")
-                raise ValueError(f"process {process} has {flag} {other[name]}, not {x}: give all the same flags")
-    return [config(**tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]]
+                raise ValueError(
+                    f"process {process} has {flag} {other[name]}, not {x}: give all the same flags"
+                )
+    return [
+        config(**tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]
+    ]
 
 
 def repeat_arithmetic(threads):
-    """Make JAX compute the same bits again: in float32, with as many threads as before (None: one for every core).
+    """Make JAX compute the same bits again: in float32, with as many threads as before (None: one
+    for every core).
 
-    The last digit of a matrix product depends on the number of JAX's threads, whatever the number of cores.
+    The last digit of a matrix product depends on the number of JAX's threads, whatever the number
+    of cores.
     """
     jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
-    name, cores = run_folder.JAX_THREADS, str(limits.cores())
+    name, cores = run_folder.JAX_THREADS, str(go1_env.CORES)
     now = os.environ.setdefault(name, threads or cores)
     if threads and now != threads:
-        say(f"{name} is {now} but was {threads} when this run began: last digits will differ", sys.stderr)
+        say(
+            f"{name} is {now} but was {threads} when this run began: last digits will differ",
+            sys.stderr,
+        )
     elif threads and now != cores:
-        say(f"JAX keeps its {now} threads, for the same bits; {name}={cores} is one for each core", sys.stderr)
+        say(
+            f"JAX keeps its {now} threads, for the same bits; {name}={cores} is one for each core",
+            sys.stderr,
+        )
 
 
 def save(folder, state, envs, cfg, params):
-    """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain MLPs."""
+    """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain
+    MLPs.
+    """
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index() == 0:
         policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
-        metrics.draw(folder, envs[0].state.weights if envs[0].task.curriculum else None)
+        metrics.draw(folder, envs[0].state.command_weights if envs[0].task.curriculum else None)
 
 
 def check_learned(state, cfg):
-    """Raise ValueError, in one line, if training cannot go on from state: nothing of it is finite any more (D44)."""
+    """Raise ValueError, in one line, if training cannot go on from state: nothing of it is finite
+    any more.
+    """
     if state.pi_prime and not np.isfinite(state.dual).all():
-        raise ValueError(f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}")
+        raise ValueError(
+            f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}"
+        )
     for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
-        if learner and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches:
-            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and costs finite?")
+        if (
+            learner
+            and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches
+        ):
+            raise ValueError(
+                f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and "
+                "costs finite?"
+            )
 
 
 def meet(asked, weights, before):
-    """Whether any process was asked to stop. All get one curriculum: the weights `before` and what each has added."""
+    """Whether any process was asked to stop. All get one curriculum: the weights `before` and what
+    each has added.
+    """
     if jax.process_count() == 1:
         return asked
     asked, gain = parallel.average((asked, weights - before))
@@ -125,34 +176,45 @@ def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
     share = cfg.num_envs // policies // jax.process_count()
-    weights = curriculum.initial_weights()  # of both: J(pi) and J(pi') are of the same commands (D23)
-    shared = dict(stream=jax.process_index(), weights=weights)
+    # of both: J(pi) and J(pi') are of the same commands
+    weights = curriculum.initial_weights()
+    shared = dict(stream=jax.process_index(), command_weights=weights)
     return [go1_env.Go1Env(share, env_cfg, threads, **shared) for _ in range(policies)]
 
 
-def train(folder, env_cfg, cfg, options, command, stop):
-    """Train from the start or the checkpoint to the end; returns the last iteration if `stop.asked` came before it."""
-    checkpoint, lead = folder / "checkpoint.npz", not options.process
+def begin(folder, env_cfg, cfg, options):
+    """Both Configs, the environments and the State with which a run starts or goes on."""
+    checkpoint, lead, threads = folder / "checkpoint.npz", not options.process, None
     if checkpoint.exists() and not options.resume and lead:
-        raise ValueError(f"{folder} already holds a run: add --resume to continue it, or choose another --out")
-    threads = None
+        raise ValueError(
+            f"{folder} already holds a run: add --resume to continue it, or choose another --out"
+        )
     if options.resume and lead:
         threads = run_folder.check_settings(folder, env_cfg, cfg, options.processes or 1)
     repeat_arithmetic(threads)
     env_cfg, cfg = agree(options, env_cfg, cfg)
     envs = make_envs(env_cfg, cfg, options.threads)
-    env, env_prime = (*(mirror.EvenOdd(env, cfg.mirror) for env in envs), None)[:2]
-    state = eipo.init_state(env, env_prime, cfg)  # also tells load_checkpoint what to expect
+    state = eipo.init_state(envs[0], envs[1] if len(envs) == 2 else None, cfg)
     state = state._replace(key=parallel.own_key(state.key))
-    if options.resume:
+    if options.resume:  # the new State tells what to expect
         state = run_folder.load_checkpoint(checkpoint, state, envs)
+    return env_cfg, cfg, envs, state
+
+
+def train(folder, env_cfg, cfg, options, command, stop):
+    """Train from the start or the checkpoint to the end; returns the last iteration if `stop.asked`
+    came before it.
+    """
+    lead = not options.process
+    env_cfg, cfg, envs, first_state = begin(folder, env_cfg, cfg, options)
     if lead:
-        log, first = metrics.Log(folder, state.iteration), None
+        log, first = metrics.Log(folder, first_state.iteration), None
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
-        say(f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments. Compiling (once, ~15 s) ...")
-    weights, before = envs[0].state.weights, envs[0].state.weights.copy()
-    run = eipo.eipo(env, env_prime, cfg, state) if env_prime else eipo.ppo(env, cfg, state)
-    for state, numbers in run:
+        what = f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments."
+        say(f"{what} Compiling (once, ~15 s) ...")
+    weights, before = envs[0].state.command_weights, envs[0].state.command_weights.copy()
+    algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
+    for state, numbers in algorithm(*envs, cfg, first_state):
         check_learned(state, cfg)
         stop.worth_saving = True
         steps = state.iteration * cfg.num_steps * cfg.num_envs
@@ -161,17 +223,20 @@ def train(folder, env_cfg, cfg, options, command, stop):
         if lead:
             row = log.row(state.iteration, numbers)
             metrics.report(row, first := first or row, cfg.iterations)
-        if asked or state.iteration % options.checkpoint_every == 0 or state.iteration == cfg.iterations:
+        last = asked or state.iteration == cfg.iterations
+        if last or state.iteration % options.checkpoint_every == 0:
             if lead:
                 log.sync()
-            save(folder, state, envs, cfg, env.dense(state.pi.params))
+            save(folder, state, envs, cfg, networks.dense(state.pi.params))
         if asked:
             break
     return state.iteration if state.iteration < cfg.iterations else None
 
 
 def command_line(argv):
-    """The words that started this process, with the flags that train.py got: those of a script that wraps it, too."""
+    """The words that started this process, with the flags that train.py got: those of a script that
+    wraps it, too.
+    """
     typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
     return typed if set(argv) <= set(typed) else typed[: len(typed) - len(sys.argv) + 1] + argv
 
@@ -199,7 +264,10 @@ def main(argv):
         again = shlex.join([*command, *([] if options.resume else ["--resume"])])
         say(f"\nStopped after iteration {stopped}. Continue with: {again}")
     elif lead:
-        say(f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv. Look: python play.py {folder}")
+        say(
+            f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv. Look: python "
+            f"play.py {folder}"
+        )
     return 130 if stopped else 0
 
 

@@ -14,7 +14,9 @@ STDERR = [2]  # its file descriptor, the last one
 
 
 def say(text, file=None, end="\n"):
-    """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal may be closed."""
+    """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal
+    may be closed.
+    """
     try:
         print(text, file=file, end=end, flush=True)
     except OSError:
@@ -22,27 +24,33 @@ def say(text, file=None, end="\n"):
 
 
 def stop_at_once(why):
-    """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or crash in them."""
+    """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or
+    crash in them.
+    """
     say("\n" * sys.stderr.isatty() + f"Stopped at once: {why}", sys.stderr)
     os._exit(130)
 
 
 def stop_imports():
-    """Let Ctrl-C end the process at once until `stop_at_boundary` listens, because imports take seconds."""
+    """Let Ctrl-C end the process at once until `stop_at_boundary` listens, because imports take
+    seconds.
+    """
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))
 
 
 @contextmanager
 def stop_at_boundary(folder):
-    """Yields a namespace whose `asked` turns True when Ctrl-C, SIGTERM or SIGHUP asks for a stop after this iteration.
+    """Yields a namespace whose `asked` turns True when Ctrl-C, SIGTERM or SIGHUP asks for a stop
+    after this iteration.
 
-    Asked again, or before the first iteration has set `worth_saving`, the process ends at once. A thread sees to that:
-    a signal handler in Python would have to wait for the C++ that compiles.
+    Asked again, or before the first iteration has set `worth_saving`, the process ends at once. A
+    thread sees to that: a signal handler in Python would have to wait for the C++ that compiles.
     """
     stop = SimpleNamespace(asked=False, worth_saving=False)
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]  # nohup ignores SIGHUP
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names]
+    numbers = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]  # nohup: no SIGHUP
     receive, send = socket.socketpair()
 
     def listen():
@@ -51,13 +59,15 @@ def stop_at_boundary(folder):
                 if number[0] in numbers and stop.worth_saving and not stop.asked:
                     stop.asked = True
                     say("\nStopping after this iteration. Ctrl-C again stops at once")
+                elif number[0] in numbers and (folder / "checkpoint.npz").exists():
+                    stop_at_once("--resume goes on from the last checkpoint")
                 elif number[0] in numbers:
-                    resumable = (folder / "checkpoint.npz").exists()
-                    stop_at_once("--resume goes on from the last checkpoint" if resumable else "there is no checkpoint")
+                    stop_at_once("there is no checkpoint")
 
     send.setblocking(False)
     threading.Thread(target=listen, daemon=True).start()
-    wakeup, before = signal.set_wakeup_fd(send.fileno()), {n: signal.signal(n, lambda *_: None) for n in numbers}
+    wakeup = signal.set_wakeup_fd(send.fileno())
+    before = {n: signal.signal(n, lambda *_: None) for n in numbers}
     try:
         yield stop
     finally:
@@ -73,7 +83,9 @@ LEAVING = threading.Lock()
 
 
 def leave(why):
-    """End one of several processes with a line, at once: Python's own way would wait for those that are lost."""
+    """End one of several processes with a line, at once: Python's own way would wait for those that
+    are lost.
+    """
     LEAVING.acquire()  # for good: the first thread to come says why
     try:
         print(f"train.py: {why}", file=sys.stderr, flush=True)
@@ -82,7 +94,8 @@ def leave(why):
 
 
 def leave_on_abort(why):
-    """From now on this process leaves where C++ aborts it, with the line that why(text) makes of what C++ had said.
+    """From now on this process leaves where C++ aborts it, with the line that why(text) makes of
+    what C++ had said.
 
     What C++ says goes to a file and not to stderr, which is left to Python.
     """

@@ -17,23 +17,40 @@ class Log:
     """metrics.csv, which grows by a row in each iteration."""
 
     def __init__(self, folder, done):
-        """done: iterations behind us. Later rows are dropped, because their iterations will be computed again.
+        """done: iterations behind us. Later rows are dropped, because their iterations will be
+        computed again.
 
-        The run does not need the earlier ones: if some are missing, it goes on, and a line on stderr says so.
+        The run does not need the earlier ones: if some are missing, it goes on, and a line on
+        stderr says so.
         """
-        self.path, self.done, self.start, self.names = folder / "metrics.csv", done, time.monotonic(), None
+        self.path, self.done, self.start, self.names = (
+            folder / "metrics.csv",
+            done,
+            time.monotonic(),
+            None,
+        )
         rows = whole_rows(self.path) if done and self.path.exists() else []
-        self.kept = list({row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values())
+        self.kept = list(
+            {row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values()
+        )
         if (missing := done - len(self.kept)) > 0:
-            print(f"{self.path} lacks {missing} of {done} rows: the run goes on without them", file=sys.stderr)
+            print(
+                f"{self.path} lacks {missing} of {done} rows: the run goes on without them",
+                file=sys.stderr,
+            )
 
     def row(self, iteration, metrics):
         """Write one row, and return it as a dict. Time counts from the last start or resumption."""
         seconds, new = time.monotonic() - self.start, iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
-        row = dict(iteration=iteration) | metrics | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
+        row = (
+            dict(iteration=iteration)
+            | metrics
+            | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
+        )
         if not self.names or not self.path.exists():
-            self.names = list((self.kept[0] if self.kept else {}) | row)  # another version may have other columns
+            # another version may have other columns
+            self.names = list((self.kept[0] if self.kept else {}) | row)
             lines = map(self.line, [dict(zip(self.names, self.names, strict=True)), *self.kept])
             run_folder.replace_file(self.path, lambda file: file.write("".join(lines).encode()))
         with open(self.path, "a", newline="") as file:
@@ -52,24 +69,32 @@ class Log:
 
 def whole_rows(path):
     """The rows of metrics.csv as dicts of text, without what a crash or a full disk has torn."""
-    names, *rows = (line.split(",") for line in path.read_text(errors="replace").split("\n")[:-1] or [""])
+    names, *rows = (
+        line.split(",") for line in path.read_text(errors="replace").split("\n")[:-1] or [""]
+    )
     rows = [dict(zip(names, row, strict=True)) for row in rows if len(row) == len(names)]
     return [row for row in rows if row.get("iteration", "").isdecimal()]
 
 
 def read(folder):
-    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no row yet."""
+    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no
+    row yet.
+    """
     rows = whole_rows(folder / "metrics.csv")
     try:
-        return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+        return (
+            {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+        )
     except ValueError as error:
         raise ValueError(f"{folder / 'metrics.csv'} is damaged: {error}") from None
 
 
 def report(row, first, iterations):
-    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for one row in 100.
+    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for
+    one row in 100.
 
-    The time left takes the mean of all iterations since `first`, the first row of this process, which also compiled.
+    The time left takes the mean of all iterations since `first`, the first row of this process,
+    which also compiled.
     """
     iteration, timed = row["iteration"], row["iteration"] - first["iteration"]
     seconds = (iterations - iteration) * (row["time_s"] - first["time_s"]) / max(1, timed)
@@ -88,7 +113,9 @@ def report(row, first, iterations):
 
 
 def draw(folder, weights):
-    """Draw the pictures of a run, and those weights of its curriculum if they are not None; or say that it failed."""
+    """Draw the pictures of a run, and those weights of its curriculum if they are not None; or say
+    that it failed.
+    """
     try:
         draw_curves(folder)
         if weights is not None:
@@ -102,7 +129,11 @@ def draw_curves(folder):
     from matplotlib.figure import Figure  # here, because it is slow to import
 
     columns = read(folder)
-    columns |= {name.replace("task_reward", "reward"): x for name, x in columns.items() if "task_reward" in name}
+    columns |= {
+        name.replace("task_reward", "reward"): x
+        for name, x in columns.items()
+        if "task_reward" in name
+    }
     panels = dict(
         reward="task reward per step",
         v_x="speed ahead [m/s]",
@@ -123,7 +154,9 @@ def draw_curves(folder):
         axes.set(title=title, xlabel="million steps")
         axes.grid(alpha=0.3)
     figure.axes[0].legend()
-    run_folder.replace_file(folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png"))
+    run_folder.replace_file(
+        folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png")
+    )
 
 
 def draw_commands(folder, weights):
@@ -132,8 +165,13 @@ def draw_commands(folder, weights):
 
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    extent = np.ravel([curriculum.LOW, curriculum.HIGH], "F")[[2, 3, 0, 1]]  # of yaw rate, then of v_x
+    # of yaw rate, then of v_x
+    extent = np.ravel([curriculum.LOW, curriculum.HIGH], "F")[[2, 3, 0, 1]]
     image = axes.imshow(weights, origin="lower", extent=extent, aspect="auto", vmin=0, vmax=1)
-    axes.set(title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]")
+    axes.set(
+        title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]"
+    )
     figure.colorbar(image, label="weight")
-    run_folder.replace_file(folder / "commands.png", lambda file: figure.savefig(file, dpi=100, format="png"))
+    run_folder.replace_file(
+        folder / "commands.png", lambda file: figure.savefig(file, dpi=100, format="png")
+    )

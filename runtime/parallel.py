@@ -1,8 +1,10 @@
-"""One run on several processes: each steps its own share of the environments, and all hold the same learner.
+"""One run on several processes: each steps its own share of the environments, and all hold the same
+learner.
 
-On one process `average`, `pooled` and `own_key` return what they get, `gather` a list of it, and `compiled` is
-`jax.jit`. Several keep their learners equal to the bit, because every gradient is averaged before it is used.
-`jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process takes the first device that it sees.
+On one process `average`, `pooled` and `own_key` return what they get, `gather` a list of it, and
+`compiled` is `jax.jit`. Several keep their learners equal to the bit, because every gradient is
+averaged before it is used. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A
+process takes the first device that it sees.
 """
 
 import io
@@ -19,26 +21,44 @@ from jax.sharding import Mesh, PartitionSpec
 from runtime.interrupt import leave_on_abort
 
 AXIS = PartitionSpec("process")
-JOIN, SILENCE = 60, 20  # s in which all processes must have come, and s after which a silent one counts as ended
+# s in which all processes must have come, and s after which a silent one counts as ended
+JOIN, SILENCE = 60, 20
 LOST = "another process has ended, see what it said last; --resume goes on from the last checkpoint"
 
 
 def join(coordinator, processes, process):
-    """Connect with the others of a run. coordinator: HOST:PORT of process 0; process: number of this one of processes.
+    """Connect with the others of a run. coordinator: HOST:PORT of process 0; process: number of
+    this one of processes.
 
-    Raises ValueError. If the others do not come, or get lost later, this process ends with a line and status 2.
+    Raises ValueError. If the others do not come, or get lost later, this process ends with a line
+    and status 2.
     """
     host, _, port = str(coordinator).rpartition(":")
-    if None in (coordinator, processes, process) or not (host and port.isdecimal() and 0 <= process < processes):
-        raise ValueError("several processes need --coordinator HOST:PORT, --processes P and --process 0 to P - 1, "
-                         f"not {coordinator}, {processes} and {process}")  # fmt: skip
-    why = [f"not all of {processes} processes came to {coordinator} within {JOIN} s: check the flags of each"]
-    leave_on_abort(lambda said: why[0] if "distributed service" in said else said)  # JAX raises nothing for some losses
-    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM, at which `train` saves and stops
-    times = dict(initialization_timeout=JOIN, heartbeat_timeout_seconds=SILENCE, shutdown_timeout_seconds=JOIN)
+    if None in (coordinator, processes, process) or not (
+        host and port.isdecimal() and 0 <= process < processes
+    ):
+        raise ValueError(
+            "several processes need --coordinator HOST:PORT, --processes P and --process 0 "
+            "to P - 1, "
+            f"not {coordinator}, {processes} and {process}"
+        )
+    why = [
+        f"not all of {processes} processes came to {coordinator} within {JOIN} s: check the "
+        "flags of each"
+    ]
+    # JAX raises nothing for some losses
+    leave_on_abort(lambda said: why[0] if "distributed service" in said else said)
+    # it would take SIGTERM, at which `train` saves and stops
+    jax.config.update("jax_enable_preemption_service", False)
+    times = dict(
+        initialization_timeout=JOIN,
+        heartbeat_timeout_seconds=SILENCE,
+        shutdown_timeout_seconds=JOIN,
+    )
     try:
         if process == 0:
-            socket.create_server(("", int(port))).close()  # JAX may crash without a word where the port is taken
+            # JAX may crash without a word where the port is taken
+            socket.create_server(("", int(port))).close()
         jax.distributed.initialize(coordinator, processes, process, **times)
     except (ValueError, RuntimeError, OSError, OverflowError) as error:
         raise ValueError(f"{coordinator} cannot be used, is the port taken? {error}") from None
@@ -51,7 +71,9 @@ def own_key(key):
 
 
 def average(tree):
-    """The means over the processes of the numbers in tree, in float32; inside of a `compiled` function and outside."""
+    """The means over the processes of the numbers in tree, in float32; inside of a `compiled`
+    function and outside.
+    """
     if jax.process_count() == 1:
         return tree
     numbers, unravel = ravel_pytree(jax.tree.map(jnp.float32, tree))  # one message for all
@@ -60,7 +82,9 @@ def average(tree):
 
 
 def pooled(log):
-    """A dict of numbers of every process as one: means of what is float, sums of what is int, which counts."""
+    """A dict of numbers of every process as one: means of what is float, sums of what is int, which
+    counts.
+    """
     counts = {name: jax.process_count() if isinstance(x, int) else 1 for name, x in log.items()}
     return {name: float(x) * counts[name] for name, x in average(log).items()}
 
@@ -82,7 +106,9 @@ def all_of(array):
 
 
 def reached(function, *args):
-    """What function(*args) returns, which waits for the other processes. ValueError if one is lost."""
+    """What function(*args) returns, which waits for the other processes. ValueError if one
+    is lost.
+    """
     try:
         return jax.block_until_ready(function(*args))
     except (ValueError, jax.errors.JaxRuntimeError) as error:
@@ -90,19 +116,28 @@ def reached(function, *args):
 
 
 def compiled(function):
-    """function(*arrays, cfg), compiled. Its arrays and results are each process's own; it may call `average`."""
+    """function(*arrays, cfg), compiled. Its arrays and results are each process's own; it may call
+    `average`.
+    """
     alone = jax.jit(function, static_argnames="cfg")
 
     @lru_cache
     def together(cfg):
-        devices = [next(d for d in jax.devices() if d.process_index == i) for i in range(jax.process_count())]
+        devices = [
+            next(d for d in jax.devices() if d.process_index == i)
+            for i in range(jax.process_count())
+        ]
         mesh = Mesh(devices, tuple(AXIS))
 
         def one(rows):
-            return jax.tree.map(lambda x: x[None], function(*jax.tree.map(lambda x: x[0], rows), cfg))
+            return jax.tree.map(
+                lambda x: x[None], function(*jax.tree.map(lambda x: x[0], rows), cfg)
+            )
 
         # check_vma=True would sum gradients over the processes before `average` sees them
-        return mesh, jax.jit(jax.shard_map(one, mesh=mesh, in_specs=(AXIS,), out_specs=AXIS, check_vma=False))
+        return mesh, jax.jit(
+            jax.shard_map(one, mesh=mesh, in_specs=(AXIS,), out_specs=AXIS, check_vma=False)
+        )
 
     @wraps(function)
     def call(*args):

@@ -1,26 +1,28 @@
-"""What a policy.npz promises to whoever runs the policy elsewhere: what it measures, in which frame, with which sign.
+"""What a policy.npz promises to whoever runs the policy elsewhere: what it measures, in which
+frame, with which sign.
 
-A control step, `1 / (timestep * physics_steps)` = 50 times a second, turns sensors into joint targets. The lines of
-docs/deploy.md do the same. The trace in the file holds 50 such steps, so that another program can be compared with it,
-row by row.
+A control step, `1 / (timestep * physics_steps)` = 50 times a second, turns sensors into joint
+targets. The lines of docs/deploy.md do the same. The trace in the file holds 50 such steps, so that
+another program can be compared with it, row by row.
 
-| array          | width | unit       | meaning                                                                    |
-|----------------|-------|------------|----------------------------------------------------------------------------|
-| trace.time     | 1     | s          | since the policy was started; where it is 0, the robot starts (anew)       |
-| trace.gravity  | 3     | -          | unit vector along gravity in the trunk's frame: (0, 0, -1) of a level one  |
-| trace.command  | 3     | m/s, rad/s | v_x forward, v_y to the left, yaw rate to the left                         |
-| trace.q        | 12    | rad        | joint angles; 0 is a straight leg that points down from a level trunk      |
-| trace.qd       | 12    | rad/s      | joint speeds                                                               |
-| trace.frame    | 44    | as above   | what these become, with the last target: the entries listed in go1_env.py  |
-| trace.estimate | 3     | m/s        | the estimator's output: velocity of the trunk, which no sensor measures    |
-| trace.action   | 12    | -          | the actor's output, clipped at +- action_limit                             |
-| trace.target   | 12    | rad        | joint targets: q_nominal + action_scale * action                           |
+| array          | width | unit       | meaning                                                    |
+|----------------|-------|------------|------------------------------------------------------------|
+| trace.time     | 1 | s          | since the policy was started; 0 where the robot starts anew|
+| trace.gravity  | 3 | -          | unit vector along gravity in the trunk's frame             |
+| trace.command  | 3 | m/s, rad/s | v_x forward, v_y to the left, yaw rate to the left         |
+| trace.q        | 12 | rad        | joint angles; 0: a straight leg, down from a level trunk   |
+| trace.qd       | 12 | rad/s      | joint speeds                                               |
+| trace.frame    | 44 | as above   | what these become, with the last target, see go1_env.py    |
+| trace.estimate | 3 | m/s        | the estimator's output: the trunk's velocity, never measure|
+| trace.action   | 12 | -          | the actor's output, clipped at +- action_limit             |
+| trace.target   | 12 | rad        | joint targets: q_nominal + action_scale * action           |
 
-The trunk's frame has x forward, y to the left, z up; its velocity is in this frame. A trunk with its nose up has a
-negative gravity[0], one with its right side down a negative gravity[1]. Joints are FR, FL, RR, RL x hip, thigh, calf.
-A positive hip angle moves the foot to the left, a positive thigh angle moves it back, and a calf's is always negative.
-All hips turn about +x, all thighs and calves about +y. A frame holds the action of the step before, which is 0 at the
-start. The policy sees the last H frames, the oldest first, and at the start H times the first one.
+The trunk's frame has x forward, y to the left, z up; its velocity is in this frame. A trunk with
+its nose up has a negative gravity[0], one with its right side down a negative gravity[1]. Joints
+are FR, FL, RR, RL x hip, thigh, calf. A positive hip angle moves the foot to the left, a positive
+thigh angle moves it back, and a calf's is always negative. All hips turn about +x, all thighs and
+calves about +y. A frame holds the action of the step before, which is 0 at the start. The policy
+sees the last H frames, the oldest first, and at the start H times the first one.
 """
 
 import itertools
@@ -36,25 +38,32 @@ import go1_env
 import networks
 import tasks
 from runtime import run_folder
-from runtime.limits import check_world
-from runtime.settings import to_config
+from runtime.flags import check_world, to_config
 
 STEPS = 50  # control steps of the trace, 1 s
 
 
 def trace(params, env_cfg):
-    """The arrays of the table above, (50,) or (50, width) float32, of one robot under the policy; params: plain MLPs.
+    """The arrays of the table above, (50,) or (50, width) float32, of one robot under the policy;
+    params: plain MLPs.
 
-    It follows the greatest command of its task, or 1 m/s, without noise. It starts anew if it falls.
+    It follows the greatest command of its task, or 1 m/s, without noise. It starts anew if it
+    falls.
     """
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
     env, rows = go1_env.Go1Env(1, world, 1), []
     obs, _ = env.reset(0, tasks.example(env_cfg.task))
     for _ in range(STEPS):
-        seen = dict(time=env.period * env.state.age[0], gravity=env.felt_gravity()[0], command=env.state.command[0],
-                    q=env.qpos[0, 7:], qd=env.qvel[0, 6:],
-                    frame=env.state.frames[0, -1] / go1_env.FRAME_SCALE)  # fmt: skip
-        row = {name: np.array(x, np.float32) for name, x in seen.items()}  # copies, because the next step changes them
+        seen = dict(
+            time=env.period * env.state.age[0],
+            gravity=env.felt_gravity()[0],
+            command=env.state.command[0],
+            q=env.qpos[0, 7:],
+            qd=env.qvel[0, 6:],
+            frame=env.state.frames[0, -1] / go1_env.FRAME_SCALE,
+        )
+        # copies, because the next step changes them
+        row = {name: np.array(x, np.float32) for name, x in seen.items()}
         action, _, estimate = (np.asarray(x) for x in networks.policy(params, obs))
         obs, *_ = env.step(action)
         action = np.clip(action[0], -env_cfg.action_limit, env_cfg.action_limit)
@@ -64,52 +73,77 @@ def trace(params, env_cfg):
 
 
 def save(path, params, env_cfg):
-    """Write policy.npz: all that it takes to run the policy without JAX and this project, as docs/deploy.md shows.
+    """Write policy.npz: all that it takes to run the policy without JAX and this project, as
+    docs/deploy.md shows.
 
-    params: of plain MLPs, as `mirror.EvenOdd.dense` returns them. The file has these arrays:
+    params: of plain MLPs, as `networks.dense` returns them. The file has these arrays:
 
-    estimator.0.W, .b ...  layers (n_in, n_out), (n_out,): H * 44 observations -> body velocity (3) [m/s], ELU between
-    actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-], ELU between
+    estimator.0.W, .b ...  layers (n_in, n_out), (n_out,) with ELU between them: H * 44
+                           observations -> body velocity (3) [m/s]
+    actor.0.W, .b ...      layers: H * 44 observations and the estimate -> action (12) [-]
     log_std                (12,) of the noise in training; a deployed policy takes the mean
-    trace.time ...         50 steps of the policy's own run, from sensors to joint targets: the table above
-    frame_scale            (44,) SI units -> observation; the table at the top of go1_env.py lists a frame's entries
-    q_nominal              (12,) [rad]; action_scale (12,) [rad]: joint targets are q_nominal + action_scale * action
-    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, which runs at the rate of the physics
-    config                 tasks.Config as JSON: history H, timestep, physics_steps, action_limit ...
+    trace.time ...         50 steps of the policy's own run: the table above
+    frame_scale            (44,) SI units -> observation, see the table in go1_env.py
+    q_nominal              (12,) [rad]
+    action_scale           (12,) [rad]: joint targets are q_nominal + action_scale * action
+    kp, kd                 [N m / rad], [N m s / rad] of the PD controller, at the physics' rate
+    config                 tasks.Config as JSON: history H, timestep, physics_steps ...
 
-    The head of this file says which frame and sign every entry has. Joints: FR, FL, RR, RL x hip, thigh, calf.
+    The head of this file says which frame and sign every entry has. Joints: FR, FL, RR, RL x hip,
+    thigh, calf.
     """
-    layers = {"actor": params["actor"]["layers"], "estimator": params["estimator"]}
-    weights = {f"{net}.{i}.{name}": np.asarray(x, np.float32) for net in layers for i, layer in enumerate(layers[net])
-               for name, x in dict(W=layer.even, b=layer.bias).items()}  # fmt: skip
-    units = dict(log_std=np.asarray(params["actor"]["log_std"]), q_nominal=go1.Q_NOMINAL, kp=go1.KP,
-                 action_scale=go1_env.ACTION_SCALE, frame_scale=go1_env.FRAME_SCALE, kd=go1.KD)  # fmt: skip
+    weights = {}
+    for net, layers in (("actor", params["actor"]["layers"]), ("estimator", params["estimator"])):
+        for i, layer in enumerate(layers):
+            weights[f"{net}.{i}.W"] = np.asarray(layer.even, np.float32)
+            weights[f"{net}.{i}.b"] = np.asarray(layer.bias, np.float32)
+    units = dict(
+        log_std=np.asarray(params["actor"]["log_std"]),
+        q_nominal=go1.Q_NOMINAL,
+        kp=go1.KP,
+        action_scale=go1_env.ACTION_SCALE,
+        frame_scale=go1_env.FRAME_SCALE,
+        kd=go1.KD,
+    )
     arrays = weights | units | dict(config=json.dumps(asdict(env_cfg))) | trace(params, env_cfg)
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
     path.with_name(run_folder.EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
 
 def load(path):
-    """The parameters that `networks.policy` takes and the environment's Config, from a policy.npz."""
+    """The parameters that `networks.policy` takes and the environment's Config, from a
+    policy.npz.
+    """
     arrays = run_folder.read_npz(path)
 
     def layers(net):
         indices = itertools.takewhile(lambda i: f"{net}.{i}.W" in arrays, itertools.count())
         no_odd = np.zeros((0, 0), np.float32)
-        return [networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices]
+        return [
+            networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices
+        ]
 
     try:
         env_cfg = to_config(tasks.Config, json.loads(str(arrays["config"])))
         check_world(1, env_cfg, None)
-        params = dict(actor=dict(layers=layers("actor"), log_std=arrays["log_std"]), estimator=layers("estimator"))
+        params = dict(
+            actor=dict(layers=layers("actor"), log_std=arrays["log_std"]),
+            estimator=layers("estimator"),
+        )
         check_finite(params)
         obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)
         with suppress(TypeError, ValueError):
-            if [x.shape for x in jax.eval_shape(networks.policy, params, obs)] == [(12,), (12,), (3,)]:
+            if [x.shape for x in jax.eval_shape(networks.policy, params, obs)] == [
+                (12,),
+                (12,),
+                (3,),
+            ]:
                 return params, env_cfg
         raise ValueError(f"its layers do not fit each other or its history of {env_cfg.history}")
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not a policy of this version, so train it anew: {error}") from None
+        raise ValueError(
+            f"{path} is not a policy of this version, so train it anew: {error}"
+        ) from None
 
 
 def check_finite(tree):
@@ -120,6 +154,8 @@ def check_finite(tree):
 
 
 def stamp(folder):
-    """What tells one policy of a run folder from a later one: time and size of policy.npz; None without one."""
+    """What tells one policy of a run folder from a later one: time and size of policy.npz; None
+    without one.
+    """
     policy = folder / "policy.npz"
     return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None

@@ -1,4 +1,6 @@
-"""What several files of tests need, once: settings and networks of the learner, robots placed by hand, run folders."""
+"""What several files of tests need, once: settings and networks of the learner, robots placed by
+hand, run folders.
+"""
 
 import resource
 from contextlib import contextmanager
@@ -20,12 +22,30 @@ LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 
 # ---- the learner ----
 
-# gamma = gae_lambda = 1/2. One Config for all of tests/paper, PPO's as well: JAX compiles each function once
+# gamma = gae_lambda = 1/2. One Config for all of tests/paper, PPO's as well: JAX compiles each
+# function once
 EIPO = eipo.Config(
-    lam=4.0, num_envs=32, num_steps=8, num_epochs=4, num_minibatches=2, lr=0.01, target_kl=0.0, gamma=0.5,
-    gae_lambda=0.5, clip_eps=0.2, ent_coef=0.01, max_grad_norm=1.0, reward_scale=1.0, lr_alpha=1.0,
-    momentum_alpha=0.9, clip_alpha=1.0, dampening_alpha=0.0, log_std=0.0, hidden=(32,), hidden_estimator=(8,),
-)  # fmt: skip
+    lam=4.0,
+    num_envs=32,
+    num_steps=8,
+    num_epochs=4,
+    num_minibatches=2,
+    lr=0.01,
+    target_kl=0.0,
+    gamma=0.5,
+    gae_lambda=0.5,
+    clip_eps=0.2,
+    ent_coef=0.01,
+    max_grad_norm=1.0,
+    reward_scale=1.0,
+    lr_alpha=1.0,
+    momentum_alpha=0.9,
+    clip_alpha=1.0,
+    dampening_alpha=0.0,
+    log_std=0.0,
+    hidden=(32,),
+    hidden_estimator=(8,),
+)
 
 
 def dyadic(rng, *shape):
@@ -45,40 +65,60 @@ def plain(weights, bias=None):
 
 
 def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
-    """Networks without hidden layers, one row of weights for each input; for widths (1, 1, 1) if not told otherwise."""
+    """Networks without hidden layers, one row of weights for each input; for widths (1, 1, 1) if
+    not told otherwise.
+    """
     actor = dict(layers=[plain(actor)], log_std=jnp.zeros(len(actor[0])))
     return dict(actor=actor, critic=[plain(critic)], estimator=[plain(estimator)])
 
 
 # ---- the environment ----
 
-NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])  # rad, go1.Q_NOMINAL
+# rad, go1.Q_NOMINAL
+NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
 LEGS = ("FR", "FL", "RR", "RL")
 UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
-FROZEN = dict(timestep=1e-9)  # a physics step of a nanosecond keeps any state still that a test writes
+# a physics step of a nanosecond keeps any state still that a test writes
+FROZEN = dict(timestep=1e-9)
 
 QUIET = dict(  # what the curriculum draws, held still
-    com=(0.0, 0.0), motor_strength=(1.0, 1.0), motor_offset=(0.0, 0.0), gravity=(0.0, 0.0), latency=0,
-    friction=(0.8, 0.8), payload=(0.0, 0.0), roughness=(0.0, 0.0),
-)  # fmt: skip
+    com=(0.0, 0.0),
+    motor_strength=(1.0, 1.0),
+    motor_offset=(0.0, 0.0),
+    gravity=(0.0, 0.0),
+    latency=0,
+    friction=(0.8, 0.8),
+    payload=(0.0, 0.0),
+    roughness=(0.0, 0.0),
+)
 QUARTER = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)  # an action: targets 0.25 rad on
 
 
 def make(num_envs=2, threads=1, seed=0, **fields):
-    """A reset environment without noise and with first episodes that start at age 0; task="flat" if not told."""
-    env = go1_env.Go1Env(num_envs, tasks.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads)
+    """A reset environment without noise and with first episodes that start at age 0; task="flat" if
+    not told.
+    """
+    env = go1_env.Go1Env(
+        num_envs, tasks.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads
+    )
     env.reset(seed)
     return env
 
 
-def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0), rates=(0, 0, 0)):
-    """Write the same state into every environment: joints; pose, world velocity and body rates of the trunk."""
+def place(
+    env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0), rates=(0, 0, 0)
+):
+    """Write the same state into every environment: joints; pose, world velocity and body rates of
+    the trunk.
+    """
     env.qpos[:, 2], env.qpos[:, 3:7], env.qpos[:, 7:] = height, quaternion, q
     env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, rates, qd
 
 
 def quiet(num_envs=2, **fields):
-    """A world of the curriculum in which nothing is drawn and nothing moves, its robots in the nominal pose."""
+    """A world of the curriculum in which nothing is drawn and nothing moves, its robots in the
+    nominal pose.
+    """
     env = make(num_envs, **dict(task="curriculum") | QUIET | FROZEN | fields)
     place(env)
     return env
@@ -111,7 +151,9 @@ def random_actions(env, steps, seed=0):
 
 
 def run(env, actions):
-    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit by bit."""
+    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit
+    by bit.
+    """
     seen = []
     for action in actions:
         obs, reward, terminated, truncated, info = env.step(action)
@@ -129,16 +171,33 @@ def same_bits(a, b):
 # ---- run folders and commands ----
 
 ROOT = go1.MODEL.parent  # of the repository
-TINY = ["--num-envs", "4", "--num-steps", "4", "--hidden", "8", "--hidden-estimator", "8", "--history", "2"]
+TINY = [
+    "--num-envs",
+    "4",
+    "--num-steps",
+    "4",
+    "--hidden",
+    "8",
+    "--hidden-estimator",
+    "8",
+    "--history",
+    "2",
+]
 
 
 def make_run(folder, task="flat", action=None, **learner):
-    """A run folder with an untrained policy; action: what it answers to everything, if not what it likes; its path."""
+    """A run folder with an untrained policy; action: what it answers to everything, if not what it
+    likes; its path.
+    """
     env_cfg = tasks.task_config(task, history=2, tiles=2)
-    own = {name: x for name, x in tasks.TASKS[task].learner.items() if name not in ("iterations", "num_envs")}
+    own = {
+        name: x
+        for name, x in tasks.TASKS[task].learner.items()
+        if name not in ("iterations", "num_envs")
+    }
     cfg = eipo.Config(**dict(hidden=(8,), hidden_estimator=(8,)) | own | learner)
-    sizes = (2 * go1_env.FRAME_WIDTH, 0), (3, 0), (12, 0)
-    params = ppo.init_learner(jax.random.key(cfg.seed), sizes, 2, cfg).params
+    sizes = 2 * go1_env.FRAME_WIDTH, 3, 12
+    params = ppo.init_learner(jax.random.key(cfg.seed), sizes, None, 2, cfg).params
     if action is not None:
         last = params["actor"]["layers"][-1]
         params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))
@@ -152,7 +211,8 @@ def error_of(capsys, main, *argv):
     """The one line that a failing command prints."""
     assert main([str(x) for x in argv]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{main.__module__}.py: ")
+    name = main.__module__
+    assert line.startswith("lab: " if name == "lab.__main__" else f"{name}.py: ")
     return line
 
 
@@ -180,7 +240,9 @@ def change_npz(path, **changes):
 
 @contextmanager
 def full_disk(size):
-    """Meanwhile no file can grow beyond `size` bytes, which the system reports much as it reports a full disk."""
+    """Meanwhile no file can grow beyond `size` bytes, which the system reports much as it reports a
+    full disk.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

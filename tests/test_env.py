@@ -1,8 +1,10 @@
-"""The Go1 as a Markov decision process: what the docstring of go1_env.py and Sections IV-A to IV-C promise.
+"""The Go1 as a Markov decision process: what the docstring of go1_env.py and Sections IV-A to IV-C
+promise.
 
-Two tricks make hand values possible without touching the internals. In free fall, with the joints where the action
-wants them, no motor pulls and nothing moves but the fall itself. And a physics step of a nanosecond (FROZEN) keeps any
-state that a test writes still, so that the next observation and cost are of that very state.
+Two tricks make hand values possible without touching the internals. In free fall, with the joints
+where the action wants them, no motor pulls and nothing moves but the fall itself. And a physics
+step of a nanosecond (FROZEN) keeps any state that a test writes still, so that the next observation
+and cost are of that very state.
 """
 
 from math import exp
@@ -31,7 +33,7 @@ import go1
 import go1_env
 import tasks
 from go1_env import Go1Env
-from runtime import snapshot
+from runtime import run_folder
 
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)
 TO_THE_LEFT = (0.5**0.5, 0, 0, 0.5**0.5)
@@ -56,13 +58,16 @@ def table():
 def test_observation_widths_and_scales():
     """The table that a reader believes is what the code does: 3 + 3 + 12 + 12 + 12 + 2 = 44.
 
-    A state by hand, all numbers different, comes out in the table's order, times the table's scales.
+    A state by hand, all numbers different, comes out in the table's order, times the table's
+    scales.
     """
     widths, scales, noise = table()
     assert widths == list(go1_env.FRAME.values()) and sum(widths) == len(scales) == len(noise) == 44
     env = make(1, history=1, **FROZEN)
     q, qd, action = np.arange(12) / 64, np.arange(12) / 2, np.arange(12) / 4
-    place(env, NOMINAL + q, qd, quaternion=(0.5, 0.5, 0.5, 0.5))  # x, y, z of the body point along y, z, x of the world
+    place(
+        env, NOMINAL + q, qd, quaternion=(0.5, 0.5, 0.5, 0.5)
+    )  # x, y, z of the body point along y, z, x of the world
     env.state.command[:] = 0.5, 0.25, 2.0
     raw = [0, -1, 0, 0.5, 0.25, 2.0, *q, *qd, *action, 0, 1]
     assert env.step(action[None])[0][0] == pytest.approx(scales * raw, abs=1e-5)
@@ -87,7 +92,8 @@ def test_observation_gravity(quaternion, gravity):
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 2.0])
 def test_observation_noise(factor):
-    """Uniform within +- the table's noise, nearly reached in 300 draws (0.95^300 = 2e-7), and only where it says so.
+    """Uniform within +- the table's noise, nearly reached in 300 draws (0.95^300 = 2e-7), and only
+    where it says so.
 
     Each robot, column and frame has its own draw: shared noise would be a signal.
     """
@@ -98,7 +104,9 @@ def test_observation_noise(factor):
     error = seen[:, 0] - scales * [0, 0, -1, *env.state.command[0], *[0.0] * 37, 1]
     bound = factor * scales * noise
     assert (np.abs(error) <= bound + TINY).all()
-    assert (error.max(0) >= 0.9 * bound - TINY).all() and (error.min(0) <= -0.9 * bound + TINY).all()
+    assert (error.max(0) >= 0.9 * bound - TINY).all() and (
+        error.min(0) <= -0.9 * bound + TINY
+    ).all()
     if factor:
         noisy = seen[:2][..., [0, 1, *range(6, 30)]].reshape(4, 26)
         assert len(np.unique(noisy[:, :2])) == 8 and len(np.unique(noisy[:, 2:])) == 96
@@ -106,16 +114,23 @@ def test_observation_noise(factor):
 
 @pytest.mark.parametrize("task, H", [("flat", 5), ("rough", 10), ("velocity", 10)])
 def test_history(task, H):
-    """D16: after actions 1, 2, 3 the previous actions read 0, ... 0, 1, 2, 3: filled at reset, oldest first."""
+    """D16: after actions 1, 2, 3 the previous actions read 0, ... 0, 1, 2, 3: filled at reset,
+    oldest first.
+    """
     env = make(task=task)
     for k in (1, 2, 3):
         obs, *_ = env.step(np.full((2, 12), float(k)))
     assert obs.shape == (2, env.obs_size) == (2, H * 44) and obs.dtype == np.float32
-    assert frames(obs)[:, :, ACTION].tolist() == [[[k] * 12 for k in (*[0.0] * (H - 3), 1.0, 2.0, 3.0)]] * 2
+    assert (
+        frames(obs)[:, :, ACTION].tolist()
+        == [[[k] * 12 for k in (*[0.0] * (H - 3), 1.0, 2.0, 3.0)]] * 2
+    )
 
 
 def test_history_after_reset():
-    """A new episode begins with its first frame five times, noise included: nothing of another robot's past."""
+    """A new episode begins with its first frame five times, noise included: nothing of another
+    robot's past.
+    """
     env = Go1Env(2, threads=1)
     for obs, _ in (env.reset(0), env.reset(1)):
         assert (frames(obs) == frames(obs)[:, :1]).all()
@@ -125,20 +140,25 @@ def test_history_after_reset():
 def test_timing_reference():
     """D14: 3 Hz * 20 ms * 25 = 1.5 turns, (sin, cos) = (0, -1); after 50 steps 3 turns, (0, 1).
 
-    It turns forward: a clock of 12.5 Hz makes a quarter turn in 20 ms, (0, 1) at reset, then (1, 0), (0, -1), (-1, 0).
+    It turns forward: a clock of 12.5 Hz makes a quarter turn in 20 ms, (0, 1) at reset, then (1,
+        0), (0, -1), (-1, 0).
     """
     env = make(1, history=1)
     assert still(env, 25)[0][0, 42:] == pytest.approx((0, -1), abs=1e-6)
     assert still(env, 25)[0][0, 42:] == pytest.approx((0, 1), abs=1e-6)
     obs, *_ = still(make(1, history=4, clock_hz=12.5), 3)
-    assert frames(obs)[0, :, 42:] == pytest.approx(np.array([[0, 1], [1, 0], [0, -1], [-1, 0]]), abs=1e-6)
+    assert frames(obs)[0, :, 42:] == pytest.approx(
+        np.array([[0, 1], [1, 0], [0, -1], [-1, 0]]), abs=1e-6
+    )
 
 
 # ---- physics, reward and cost ----
 
 
 def test_standing():
-    """Action 0 is a stance: from a random pose the PD controller stands up and stays up for 20 s."""
+    """Action 0 is a stance: from a random pose the PD controller stands up and stays up, for
+    20 s.
+    """
     env = make(4, friction=(0.8, 0.8), payload=(0.0, 0.0), episode_steps=1000)
     for _ in range(999):
         _, _, terminated, truncated, _ = still(env)
@@ -148,7 +168,9 @@ def test_standing():
 
 
 def test_action_is_an_offset_from_the_nominal_pose():
-    """Action 2: hips 0.25 * 0.5 * 2 = 0.25, others 0.25 * 2 = 0.5 rad. A robot there needs no torque: 42 - 200."""
+    """Action 2: hips 0.25 * 0.5 * 2 = 0.25, others 0.25 * 2 = 0.5 rad. A robot there needs no
+    torque: 42 - 200.
+    """
     env = make(1)
     place(env, NOMINAL + np.tile([0.25, 0.5, 0.5], 4))
     assert env.step(np.full((1, 12), 2.0))[4]["cost"] == pytest.approx([-158.0], abs=1e-9)
@@ -179,9 +201,11 @@ def test_action_is_clipped():
     ],
 )
 def test_reward_of_a_task(task, command, velocity, expected):
-    """Eqs. (5) to (8), unscaled, each error of 1/2 a factor 1/e; turned by 90 degrees, ahead is where the robot heads.
+    """Eqs. (5) to (8), unscaled, each error of 1/2 a factor 1/e; turned by 90 degrees, ahead is
+    where the robot heads.
 
-    Then its forward is the world's y and its left the world's -x. Rolling at 1 and pitching at 2 rad/s is no yawing.
+    Then its forward is the world's y and its left the world's -x. Rolling at 1 and pitching at 2
+    rad/s is no yawing.
     """
     env = make(task=task, max_power=None, **FROZEN)
     v_x, v_y, yaw_rate = velocity
@@ -193,9 +217,11 @@ def test_reward_of_a_task(task, command, velocity, expected):
 
 
 def test_batch_equals_a_plain_mujoco_loop():
-    """The batch is no other simulator: one MjModel per robot, PD by hand before each mj_step, the same bits.
+    """The batch is no other simulator: one MjModel per robot, PD by hand before each mj_step, the
+    same bits.
 
-    D17: the cost is the mean of Eq. (9) over the four physics steps, with the mean speed of each. Friction and mass are
+    D17: the cost is the mean of Eq. (9) over the four physics steps, with the mean speed of each.
+        Friction and mass are
     those of the robots.
     """
     env = make(3, clip="torque")
@@ -237,7 +263,16 @@ def plain_step(model, robot, action):
 )
 def test_log_has_the_columns_of_the_task(fields, more):
     """One number for each robot: what is averaged are floats, and what is counted are booleans."""
-    usual = {"pitch", "roll", "v_x", "command_x", "power", "ended_fall", "ended_diverged", "ended_limit"}
+    usual = {
+        "pitch",
+        "roll",
+        "v_x",
+        "command_x",
+        "power",
+        "ended_fall",
+        "ended_diverged",
+        "ended_limit",
+    }
     log = still(make(3, **fields))[4]["log"]
     assert set(log) == usual | more and all(x.shape == (3,) for x in log.values())
     assert all(x.dtype == (bool if name.startswith("ended_") else float) for name, x in log.items())
@@ -247,7 +282,9 @@ def test_log_has_the_columns_of_the_task(fields, more):
 
 
 def test_terminated_and_truncated_exclude_each_other():
-    """A robot that falls on its very last step has fallen: a bootstrap would credit it with a future."""
+    """A robot that falls on its very last step has fallen: a bootstrap would credit it with a
+    future.
+    """
     env = make(episode_steps=1)
     place(env, height=0.056, quaternion=ON_ITS_BACK)
     env.qpos[1, 2] = 1.0  # the other one is in the air
@@ -256,9 +293,11 @@ def test_terminated_and_truncated_exclude_each_other():
 
 
 def test_final_obs_at_a_time_limit():
-    """H = 5, 3 steps with actions 1, 2, 3: final_obs remembers 0, 0, 1, 2, 3, obs the new episode's first frame alone.
+    """H = 5, 3 steps with actions 1, 2, 3: final_obs remembers 0, 0, 1, 2, 3, obs the new episode's
+    first frame alone.
 
-    The most reported bug in the field: bootstrapping from obs would take the next episode's start for this one's end.
+    The most reported bug in the field: bootstrapping from obs would take the next episode's start
+    for this one's end.
     """
     env = make(episode_steps=3)
     for k in (1, 2, 3):
@@ -269,14 +308,21 @@ def test_final_obs_at_a_time_limit():
 
 
 def test_final_obs_is_of_the_old_pose():
-    """Upside down in the air at the time limit: final gravity +1 and fall 0.1962 m/s; upright in the new episode."""
+    """Upside down in the air at the time limit: final gravity +1 and fall 0.1962 m/s; upright in
+    the new episode.
+    """
     env = make(episode_steps=1)
     place(env, quaternion=ON_ITS_BACK)
     obs, _, _, _, info = still(env)
     assert frames(info["final_obs"])[:, -1, 2] == pytest.approx([1.0] * 2)
-    assert info["final_privileged"] == pytest.approx(np.array([[0.0, 0.0, 9.81 * 0.02]] * 2), abs=1e-6)
+    assert info["final_privileged"] == pytest.approx(
+        np.array([[0.0, 0.0, 9.81 * 0.02]] * 2), abs=1e-6
+    )
     assert frames(obs)[:, -1, 2] == pytest.approx([-1.0] * 2)
-    assert np.abs(info["privileged"][:, 2]).max() <= 0.5 and (info["privileged"] != info["final_privileged"]).all()
+    assert (
+        np.abs(info["privileged"][:, 2]).max() <= 0.5
+        and (info["privileged"] != info["final_privileged"]).all()
+    )
 
 
 def test_final_obs_is_obs_where_no_episode_ended():
@@ -286,7 +332,9 @@ def test_final_obs_is_obs_where_no_episode_ended():
 
 
 def test_autoreset_leaves_the_others_alone():
-    """Robot 1 of 3 reaches its time limit: the others go on, bit for bit, as in a world where it did not."""
+    """Robot 1 of 3 reaches its time limit: the others go on, bit for bit, as in a world where it
+    did not.
+    """
     env, twin = make(3), make(3)
     actions, others = random_actions(env, 6), [0, 2]
     run(env, actions[:2]), run(twin, actions[:2])
@@ -299,7 +347,8 @@ def test_autoreset_leaves_the_others_alone():
 
 
 def test_first_episodes_are_staggered():
-    """16 robots end their first episodes of 8 steps at several times, each once: no wave of simultaneous resets.
+    """16 robots end their first episodes of 8 steps at several times, each once: no wave of
+    simultaneous resets.
 
     The first observation shows the age of an episode: not all clocks stand at 0.
     """
@@ -314,7 +363,8 @@ def test_first_episodes_are_staggered():
 
 @pytest.mark.parametrize("task, high", [("flat", 1), ("rough", 1), ("velocity", 0)])
 def test_commands(task, high):
-    """IV-A.1: v_x from [0, 1] m/s, all of it, and no command of v_y and of the yaw rate; on `velocity` none at all.
+    """IV-A.1: v_x from [0, 1] m/s, all of it, and no command of v_y and of the yaw rate; on
+    `velocity` none at all.
 
     They are drawn anew at every reset and in between.
     """
@@ -322,12 +372,16 @@ def test_commands(task, high):
     for _ in range(7):
         command = frames(still(env)[0])[:, -1, 3:6]
         v_x = command[:, 0] / 2  # scale 2
-        assert 0 <= v_x.min() < 0.05 and 0.95 * high <= v_x.max() <= high and not command[:, 1:].any()
+        assert (
+            0 <= v_x.min() < 0.05 and 0.95 * high <= v_x.max() <= high and not command[:, 1:].any()
+        )
         assert len(np.unique(v_x)) > 250 * high
 
 
 def test_commands_change():
-    """command_steps = 3: steps 1 to 3 are rewarded by the first command, 4 to 6 by the next; obs shows it in time."""
+    """command_steps = 3: steps 1 to 3 are rewarded by the first command, 4 to 6 by the next; obs
+    shows it in time.
+    """
     env = make(2, command_steps=3)
     told, obeyed = [frames(env.reset(0)[0])[:, -1, 3] / 2], []
     for _ in range(6):
@@ -351,9 +405,11 @@ def test_given_commands_last(task):
 
 
 def test_reset_pose():
-    """D35: joints at 0.5 to 1.5 times nominal, within the URDF's range; trunk +- 0.5 m/s and rad/s; any yaw.
+    """D35: joints at 0.5 to 1.5 times nominal, within the URDF's range; trunk +- 0.5 m/s and rad/s;
+    any yaw.
 
-    Without spread all joints are nominal and the trunk is at rest. By MuJoCo's own kinematics the lowest foot is on the
+    Without spread all joints are nominal and the trunk is at rest. By MuJoCo's own kinematics the
+    lowest foot is on the
     ground: no robot is thrown up by contact, or falls first.
     """
     env = make(64)
@@ -363,7 +419,11 @@ def test_reset_pose():
     ratio = q / NOMINAL
     assert 0.5 <= ratio.min() < 0.55 and 1.45 < ratio.max() <= 1.5 and ratio.std() > 0.2
     assert 0.45 < np.abs(env.qvel[:, :6]).max() <= 0.5 and len(np.unique(env.qvel[:, :6])) == 64 * 6
-    assert not env.qpos[:, [0, 1, 4, 5]].any() and env.qpos[:, 6].min() < -0.9 and env.qpos[:, 6].max() > 0.9
+    assert (
+        not env.qpos[:, [0, 1, 4, 5]].any()
+        and env.qpos[:, 6].min() < -0.9
+        and env.qpos[:, 6].max() > 0.9
+    )
     for qpos in env.qpos[:8]:
         assert soles(qpos).min() == pytest.approx(0.0, abs=1e-12)
     calm = make(start_spread=0.0)
@@ -371,7 +431,9 @@ def test_reset_pose():
 
 
 def test_reset_tells_the_velocity():
-    """The critic and the estimator start from the truth: a robot that is merely turned keeps its vertical velocity."""
+    """The critic and the estimator start from the truth: a robot that is merely turned keeps its
+    vertical velocity.
+    """
     env = Go1Env(4, threads=1)
     _, info = env.reset(0)
     assert info["privileged"][:, 2] == pytest.approx(env.qvel[:, 2])
@@ -386,7 +448,10 @@ def test_reset_tells_the_velocity():
 @pytest.mark.parametrize("threads", [2, None])
 def test_threads_do_not_change_the_bits(threads, task):
     """A laptop and a server train the same policy. Crosses resets and draws of commands."""
-    one, many = (make(5, threads=n, task=task, stagger=True, noise=1.0, episode_steps=5) for n in (1, threads))
+    one, many = (
+        make(5, threads=n, task=task, stagger=True, noise=1.0, episode_steps=5)
+        for n in (1, threads)
+    )
     assert same_bits(run(one, random_actions(one, 8)), run(many, random_actions(many, 8)))
 
 
@@ -395,7 +460,7 @@ def test_seeds(task):
     """Same seed, same bits, in a new environment and in a used one; another seed, another world."""
     env, used, other = (make(3, task=task, seed=seed, noise=1.0) for seed in (7, 1, 8))
     still(used, 3)
-    used.state.weights[:], used.state.tracked[:] = 1.0, 1000.0
+    used.state.command_weights[:], used.state.tracked[:] = 1.0, 1000.0
     used.reset(7)
     actions = random_actions(env, 4)
     ours = run(env, actions)
@@ -416,41 +481,66 @@ def arrays(thing, name=""):
     """Every array that an object holds, in whatever it holds it, by name."""
     if isinstance(thing, np.ndarray):
         return {name: thing}
-    parts = thing if isinstance(thing, dict) else thing._asdict() if hasattr(thing, "_asdict") else None
-    parts = dict(enumerate(thing)) if isinstance(thing, list) else parts or getattr(thing, "__dict__", {})
-    return {found: x for key, part in parts.items() for found, x in arrays(part, f"{name}.{key}").items()}
+    parts = (
+        thing if isinstance(thing, dict) else thing._asdict() if hasattr(thing, "_asdict") else None
+    )
+    parts = (
+        dict(enumerate(thing))
+        if isinstance(thing, list)
+        else parts or getattr(thing, "__dict__", {})
+    )
+    return {
+        found: x
+        for key, part in parts.items()
+        for found, x in arrays(part, f"{name}.{key}").items()
+    }
 
 
 @pytest.mark.parametrize("reward", ["paper", "shaped"])
 @pytest.mark.parametrize("task", tasks.TASKS)
 def test_the_next_step_depends_on_nothing_but_the_state(task, reward, tmp_path):
-    """Resume is exact: through a file without pickles, into another world, over resets and new commands.
+    """Resume is exact: through a file without pickles, into another world, over resets and new
+    commands.
 
-    All arrays of that world are filled with garbage, in the state and beside it; after load it has the same bits. But
-    for constants, as the ground: what two worlds agree in after steps from different seeds. And what is no array, as a
-    counter would be, must not have changed by then.
+    All arrays of that world are filled with garbage, in the state and beside it; after load it has
+    the same bits. But for constants, as the ground: what two worlds agree in after steps from
+    different seeds. And what is no array, as a counter would be, must not have changed by then.
     """
-    fields = dict(task=task, reward=reward, stagger=True, noise=1.0, episode_steps=6, command_steps=4)
+    fields = dict(
+        task=task, reward=reward, stagger=True, noise=1.0, episode_steps=6, command_steps=4
+    )
     env, other, fresh = (make(3, seed=seed, threads=1 + seed // 2, **fields) for seed in (0, 1, 2))
     actions = random_actions(env, 12)
     run(env, actions[:3]), run(other, actions[:3])
-    env.state.weights[4, 22], env.state.tracked[:] = 0.5, 3.5  # the next segment ends in a success
-    plain = [{k: x for k, x in vars(e).items() if isinstance(x, bool | int | float | str | None)} for e in (env, fresh)]
+    env.state.command_weights[4, 22], env.state.tracked[:] = (
+        0.5,
+        3.5,
+    )  # the next segment ends in a success
+    plain = [
+        {k: x for k, x in vars(e).items() if isinstance(x, bool | int | float | str | None)}
+        for e in (env, fresh)
+    ]
     assert plain[0] == plain[1]
     ours, others = arrays(env), arrays(other)
-    constant = {name for name in ours if not name.startswith(".state") and same_bits([ours[name]], [others[name]])}
+    constant = {
+        name
+        for name in ours
+        if not name.startswith(".state") and same_bits([ours[name]], [others[name]])
+    }
     for x in (x for name, x in arrays(fresh).items() if name not in constant and x.flags.writeable):
         x[:] = np.nan if x.dtype.kind == "f" else 77
-    np.savez(tmp_path / "state.npz", **snapshot.save(env))
+    np.savez(tmp_path / "state.npz", **run_folder.saved(env))
     with np.load(tmp_path / "state.npz", allow_pickle=False) as state:
-        snapshot.load(fresh, state)
+        run_folder.restore_env(fresh, state)
     assert same_bits(run(env, actions[3:]), run(fresh, actions[3:]))
 
 
 def test_what_is_handed_out_is_a_copy():
-    """A rollout keeps what step returns, a checkpoint what save does: the next step must not write there."""
+    """A rollout keeps what step returns, a checkpoint what save does: the next step must not write
+    there.
+    """
     env = make(3, episode_steps=2)
-    first = [*run(env, random_actions(env, 1)), *snapshot.save(env).values()]
+    first = [*run(env, random_actions(env, 1)), *run_folder.saved(env).values()]
     kept = [x.copy() for x in first]
     run(env, random_actions(env, 4, seed=1))
     assert same_bits(first, kept)
@@ -479,7 +569,9 @@ POISONS = pytest.mark.parametrize("poison", [poison_velocity, poison_position, p
 
 @POISONS
 @pytest.mark.parametrize(
-    "fields", [dict(), dict(latency=6), dict(reward="shaped"), dict(aux="smooth", latency=6)], ids=str
+    "fields",
+    [dict(), dict(latency=6), dict(reward="shaped"), dict(aux="smooth", latency=6)],
+    ids=str,
 )
 def test_divergence_resets_one_robot(poison, fields, tmp_path, monkeypatch):
     """Robot 1 of 3 is lost, says so, and earns 0 at a cost of 0; what the learner gets is finite.
@@ -501,7 +593,9 @@ def test_divergence_resets_one_robot(poison, fields, tmp_path, monkeypatch):
 
 @POISONS
 def test_an_episode_ends_for_one_reason(poison):
-    """All three lie on their backs and draw more than a watt. Robot 1 diverged, the others fell: each counts once."""
+    """All three lie on their backs and draw more than a watt. Robot 1 diverged, the others fell:
+    each counts once.
+    """
     env = make(3, max_power=1.0)
     place(env, height=0.056, quaternion=ON_ITS_BACK)
     poison(env, action := np.zeros((3, 12)))
@@ -512,11 +606,15 @@ def test_an_episode_ends_for_one_reason(poison):
 
 @POISONS
 def test_divergence_leaves_the_others_alone(poison):
-    """The other robots have the same bits, now and later, as in a world without the poison; robot 1 lives on."""
+    """The other robots have the same bits, now and later, as in a world without the poison; robot 1
+    lives on.
+    """
     env, twin = make(3), make(3)
     poison(env, action := np.zeros((3, 12)))
     for step in range(4):
         ours, theirs = env.step(action if step == 0 else np.zeros((3, 12))), still(twin)
         assert ours[2].tolist() == [False, step == 0, False]
-        for a, b in zip((*ours[:4], ours[4]["cost"]), (*theirs[:4], theirs[4]["cost"]), strict=True):
+        for a, b in zip(
+            (*ours[:4], ours[4]["cost"]), (*theirs[:4], theirs[4]["cost"]), strict=True
+        ):
             assert a[[0, 2]].tobytes() == b[[0, 2]].tobytes() and np.isfinite(a).all()

@@ -1,4 +1,6 @@
-"""go1.xml and go1.py against Unitree's published numbers, and against what the Python side takes for granted."""
+"""go1.xml and go1.py against Unitree's published numbers, and against what the Python side takes
+for granted.
+"""
 
 import itertools
 from math import pi
@@ -25,9 +27,11 @@ def names(model, kind, count):
 
 
 def test_numbers_of_the_urdf(model):
-    """5.560 + 4 (0.680 + 1.009 + 0.195862) = 13.099448 kg: its links, their 12 rotors included. Limits are in force.
+    """5.560 + 4 (0.680 + 1.009 + 0.195862) = 13.099448 kg: its links, their 12 rotors included.
+    Limits are in force.
 
-    Armature 1.118e-4 * 6.33^2 = 0.00448 and, calf, 1.118e-4 * (6.33 * 1.5)^2 = 0.01008 kg m^2; no other joint losses.
+    Armature 1.118e-4 * 6.33^2 = 0.00448 and, calf, 1.118e-4 * (6.33 * 1.5)^2 = 0.01008 kg m^2; no
+    other joint losses.
     """
     assert model.body_mass.sum() == pytest.approx(13.1, abs=1e-2)
     assert model.jnt_range[1:].tolist() == [[-0.863, 0.863], [-0.686, 4.501], [-2.818, -0.888]] * 4
@@ -37,11 +41,16 @@ def test_numbers_of_the_urdf(model):
 
 
 def test_order_of_joints_and_motors(model):
-    """A free trunk, then FR, FL, RR, RL x hip, thigh, calf: actions and observations are laid out so.
+    """A free trunk, then FR, FL, RR, RL x hip, thigh, calf: actions and observations are laid out
+    so.
 
-    Motor i turns joint i with gear 1, so that ctrl is the joint torque of Eq. (9), unlimited by MuJoCo.
+    Motor i turns joint i with gear 1, so that ctrl is the joint torque of Eq. (9), unlimited by
+    MuJoCo.
     """
-    assert names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt) == ["root", *(f"{name}_joint" for name in JOINTS)]
+    assert names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt) == [
+        "root",
+        *(f"{name}_joint" for name in JOINTS),
+    ]
     assert model.jnt_qposadr[1:].tolist() == list(range(7, 19))
     assert model.jnt_dofadr[1:].tolist() == list(range(6, 18))
     assert names(model, mujoco.mjtObj.mjOBJ_ACTUATOR, model.nu) == JOINTS
@@ -51,15 +60,22 @@ def test_order_of_joints_and_motors(model):
 
 
 def test_collisions(model):
-    """The trunk and each leg's hip, thigh, calf and foot, 1 + 4 * 4 = 17, meet the floor, and nothing else meets.
+    """The trunk and each leg's hip, thigh, calf and foot, 1 + 4 * 4 = 17, meet the floor, and
+    nothing else meets.
 
-    condim 3, one normal and two tangents, and friction 0.6 or more: without it a policy slides on its hips.
+    condim 3, one normal and two tangents, and friction 0.6 or more: without it a policy slides on
+    its hips.
     """
     ctype, caffinity = model.geom_contype, model.geom_conaffinity
     pairs = itertools.combinations(range(model.ngeom), 2)
     meeting = [(i, j) for i, j in pairs if ctype[i] & caffinity[j] or ctype[j] & caffinity[i]]
-    touching = ["trunk", *(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf", "foot"))]
-    assert [(model.geom(i).name, model.geom(j).name) for i, j in meeting] == [("floor", name) for name in touching]
+    touching = [
+        "trunk",
+        *(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf", "foot")),
+    ]
+    assert [(model.geom(i).name, model.geom(j).name) for i, j in meeting] == [
+        ("floor", name) for name in touching
+    ]
     solid = ctype + caffinity > 0
     assert (model.geom_condim[solid] == 3).all() and (model.geom_friction[solid, 0] >= 0.6).all()
 
@@ -86,9 +102,11 @@ def test_contact_with_the_floor_has_the_friction_of_the_foot(model):
     ids=["standing", "shins", "kneeling", "back", "side"],
 )
 def test_contact_sensors(model, height, quaternion, fallen):
-    """D13. Legs straight: soles 0.446 m down, shins 0.413 m, thighs 0.217 m, the trunk 0.057 m; hips 0.147 m aside.
+    """D13. Legs straight: soles 0.446 m down, shins 0.413 m, thighs 0.217 m, the trunk 0.057 m;
+    hips 0.147 m aside.
 
-    The order: nine that end every episode, the calves, which some tasks let touch the ground, and the feet.
+    The order: nine that end every episode, the calves, which some tasks let touch the ground, and
+        the feet.
     """
     assert [model.sensor(i).name.split("_")[1] for i in range(9, 17)] == ["calf"] * 4 + ["foot"] * 4
     data = mujoco.MjData(model)
@@ -109,7 +127,9 @@ def test_home(model):
 
 
 def lowest(q):
-    """Height of the lowest point of each leg relative to the trunk [m], from the centres of knee and foot."""
+    """Height of the lowest point of each leg relative to the trunk [m], from the centres of knee
+    and foot.
+    """
     return go1.leg_points(q)[..., 2].reshape(*q.shape[:-1], 4, 2).min(-1) - 0.02
 
 
@@ -119,8 +139,10 @@ def lowest(q):
         (0, 0, 0, -0.446, -0.446),  # straight: -0.213 - 0.213 - 0.02
         (0, pi / 2, -pi / 2, -0.233, -0.233),  # thigh horizontal, calf down: -0.213 - 0.02
         (0, pi / 3, -2 * pi / 3, -0.233, -0.233),  # -0.213 (1/2 + 1/2) - 0.02
-        (pi / 2, 0, 0, -0.1, 0.06),  # legs out to the left: the hip's 0.08 is down on the right, up on the left
-        (0, 0, -pi, -0.233, -0.233),  # thigh straight down, shin straight up: the knee is lowest, 0.213 + 0.02
+        # legs out to the left: the hip's 0.08 is down on the right, up on the left
+        (pi / 2, 0, 0, -0.1, 0.06),
+        # thigh straight down, shin straight up: the knee is lowest, 0.213 + 0.02
+        (0, 0, -pi, -0.233, -0.233),
     ],
 )
 def test_leg_heights_by_hand(hip, thigh, calf, right, left):
@@ -130,7 +152,9 @@ def test_leg_heights_by_hand(hip, thigh, calf, right, left):
 
 
 def test_leg_heights_are_those_of_the_model():
-    """The formula and go1.xml are the same robot: twelve joint angles at random, shins pointing down, any shape."""
+    """The formula and go1.xml are the same robot: twelve joint angles at random, shins pointing
+    down, any shape.
+    """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
     q[..., 1::3], q[..., 2::3] = abs(q[..., 1::3]), -abs(q[..., 2::3])
     heights = lowest(q)

@@ -1,4 +1,6 @@
-"""A run on several processes: the same learner on all, one run folder, and whoever is left says why it ends."""
+"""A run on several processes: the same learner on all, one run folder, and whoever is left says why
+it ends.
+"""
 
 import os
 import signal
@@ -18,35 +20,64 @@ import train
 from eipo import Config, Estimate, Rollout
 from runtime import metrics, parallel, run_folder
 
-FLAGS = [*TINY, "--num-envs", "8", "--threads", "1", "--checkpoint-every", "4", "--task", "curriculum", "--iterations"]
-SECONDS = 480  # in which any process of a test must have ended; on two idle cores it takes less than 60
-ONE_BATCH = Config(num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_estimator=(8,), mirror=False)
+FLAGS = [
+    *TINY,
+    "--num-envs",
+    "8",
+    "--threads",
+    "1",
+    "--checkpoint-every",
+    "4",
+    "--task",
+    "curriculum",
+    "--iterations",
+]
+# in which any process of a test must have ended; on two idle cores it takes less than 60
+SECONDS = 480
+ONE_BATCH = Config(
+    num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_estimator=(8,), mirror=False
+)
 
 
 def data_of_an_update(processes=1, process=0):
-    """A learner, and what `ppo_update` takes: that process's share of 64 environments, not of its own making."""
+    """A learner, and what `ppo_update` takes: that process's share of 64 environments, not of its
+    own making.
+    """
     rng, widths = np.random.default_rng(0), (6, 3, 4)
-    learner = ppo.init_learner(jax.random.key(0), tuple((n, 0) for n in widths), 2, ONE_BATCH)
+    learner = ppo.init_learner(jax.random.key(0), widths, None, 2, ONE_BATCH)
     obs, privileged, action = (rng.normal(size=(10, 64, n)).astype(np.float32) for n in widths)
-    advantage, likely = 3 + rng.normal(size=(10, 64)).astype(np.float32), rng.normal(-6, 0.1, (10, 64))
+    advantage, likely = (
+        3 + rng.normal(size=(10, 64)).astype(np.float32),
+        rng.normal(-6, 0.1, (10, 64)),
+    )
     target = rng.normal(size=(10, 64, 2)).astype(np.float32)
     share = np.arange(64).reshape(processes, -1)[process]
     obs, privileged, action, advantage, likely, target = (
         x[:, share] for x in (obs, privileged, action, advantage, likely.astype(np.float32), target)
     )
     tau = Rollout(obs, privileged, action, None, None, None, None, None)
-    return learner, tau, Estimate(None, target, likely), advantage, jax.random.key(process), ONE_BATCH
+    return (
+        learner,
+        tau,
+        Estimate(None, target, likely),
+        advantage,
+        jax.random.key(process),
+        ONE_BATCH,
+    )
 
 
 def arrays_of(learner, log):
     """A Learner and a log by name."""
     return {
-        jax.tree_util.keystr(path): np.asarray(x) for path, x in jax.tree_util.tree_leaves_with_path((learner, log))
+        jax.tree_util.keystr(path): np.asarray(x)
+        for path, x in jax.tree_util.tree_leaves_with_path((learner, log))
     }
 
 
 def process(out, *flags):
-    """What one process of a test does: train, keep what it holds at each checkpoint, and compute one update."""
+    """What one process of a test does: train, keep what it holds at each checkpoint, and compute
+    one update.
+    """
     save, meet = train.save, train.meet
 
     def meet_and_wait(*args):
@@ -61,7 +92,9 @@ def process(out, *flags):
     status = train.main(list(flags))
     if status or "--resume" in flags:
         return status
-    update = arrays_of(*ppo.ppo_update(*data_of_an_update(jax.process_count(), jax.process_index())))
+    update = arrays_of(
+        *ppo.ppo_update(*data_of_an_update(jax.process_count(), jax.process_index()))
+    )
     np.savez(f"{out}.{jax.process_index()}.update.npz", **update)
     return status
 
@@ -73,12 +106,25 @@ def free_port():
 
 
 def start(folder, *flags, port=None, processes=2, only=None, pause=0):
-    """Start the processes of a run, or only those named. pause: s that each waits after an iteration."""
-    flags = [*flags, "--out", folder, "--coordinator", f"127.0.0.1:{port or free_port()}", "--processes", processes]
+    """Start the processes of a run, or only those named. pause: s that each waits after an
+    iteration.
+    """
+    flags = [
+        *flags,
+        "--out",
+        folder,
+        "--coordinator",
+        f"127.0.0.1:{port or free_port()}",
+        "--processes",
+        processes,
+    ]
     command = [sys.executable, __file__, folder, *flags, "--process"]
     pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     env = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT / 'tests'}", PJRT_NPROC="1", PAUSE=str(pause))
-    return [subprocess.Popen([str(x) for x in (*command, i)], env=env, **pipes) for i in only or range(processes)]
+    return [
+        subprocess.Popen([str(x) for x in (*command, i)], env=env, **pipes)
+        for i in only or range(processes)
+    ]
 
 
 def ended(processes, seconds=SECONDS):
@@ -88,7 +134,9 @@ def ended(processes, seconds=SECONDS):
         for process in processes:
             stack.enter_context(process)
             stack.callback(process.kill)
-        said = [process.communicate(timeout=max(1, end - time.monotonic()))[1] for process in processes]
+        said = [
+            process.communicate(timeout=max(1, end - time.monotonic()))[1] for process in processes
+        ]
     return [process.returncode for process in processes], said
 
 
@@ -113,34 +161,53 @@ def held(folder, process):
 
 
 def test_two_processes_hold_one_learner_and_environments_of_their_own(finished):
-    """The learner, alpha and the curriculum are equal to the bit; simulations are not, and the checkpoint has both."""
+    """The learner, alpha and the curriculum are equal to the bit; simulations are not, and the
+    checkpoint has both.
+    """
     first, second = (held(finished, i) for i in range(2))
     assert set(first) == set(second) and "state.pi.params['critic'][0].even" in first
     own = "env", "state.key", "state.start"
     common = {name for name in first if name.endswith("weights") or not name.startswith(own)}
     assert [name for name in common if first[name].tobytes() != second[name].tobytes()] == []
-    for name in ("env0.sim", "env1.sim", "env0.command", "state.key", "state.start[0]", "state.start_prime[0]"):
+    for name in (
+        "env0.sim",
+        "env1.sim",
+        "env0.command",
+        "state.key",
+        "state.start[0]",
+        "state.start_prime[0]",
+    ):
         assert len(first[name]) == 2 and not np.array_equal(first[name], second[name])
     stored = run_folder.read_npz(finished / "checkpoint.npz")
-    expected = first | {f"1/{name}": second[name] for name in set(second) - common | {"env0.weights", "env1.weights"}}
+    expected = first | {
+        f"1/{name}": second[name]
+        for name in set(second) - common | {"env0.command_weights", "env1.command_weights"}
+    }
     assert set(expected) | {"settings"} == set(stored)
     assert [name for name, x in expected.items() if x.tobytes() != stored[name].tobytes()] == []
     columns = metrics.read(finished)
-    assert columns["iteration"].tolist() == list(range(1, 13)) and columns["steps"][-1] == 12 * 4 * 8
+    assert (
+        columns["iteration"].tolist() == list(range(1, 13)) and columns["steps"][-1] == 12 * 4 * 8
+    )
 
 
 def test_two_processes_make_the_update_of_one(finished):
     """With half of the environments each, and one minibatch, so that its samples are the same.
 
-    Only the order of the sums differs: some 1e-7 of a gradient in float32. Adam divides a gradient by its own size, so
-    that a weight moves by 3e-4 in each of the four updates; 1e-3 of that is allowed.
+    Only the order of the sums differs: some 1e-7 of a gradient in float32. Adam divides a gradient
+    by its own size, so that a weight moves by 3e-4 in each of the four updates; 1e-3 of that is
+    allowed.
     """
     whole = arrays_of(*ppo.ppo_update(*data_of_an_update()))
-    halves = [run_folder.read_npz(finished.with_name(f"{finished.name}.{i}.update.npz")) for i in range(2)]
+    halves = [
+        run_folder.read_npz(finished.with_name(f"{finished.name}.{i}.update.npz")) for i in range(2)
+    ]
     alone = arrays_of(*ppo.ppo_update(*data_of_an_update(2, 0)))
     before = data_of_an_update()[0].params["critic"][0].even
     name = "[0].params['critic'][0].even"
-    assert np.abs(whole[name] - before).max() > 1e-3 and np.abs(whole[name] - alone[name]).max() > 1e-4
+    assert (
+        np.abs(whole[name] - before).max() > 1e-3 and np.abs(whole[name] - alone[name]).max() > 1e-4
+    )
     for name, x in whole.items():
         assert halves[0][name].tobytes() == halves[1][name].tobytes(), name
         np.testing.assert_allclose(halves[0][name], x, rtol=1e-5, atol=3e-7, err_msg=name)
@@ -200,7 +267,8 @@ def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim
     processes = start(folder, *FLAGS, 12, pause=0.5)
     wait_for_rows(folder, processes, 5)
     processes[victim].kill()
-    statuses, said = ended(processes, 3 * parallel.SILENCE)  # on a busy machine; it is told within one
+    # on a busy machine; it is told within one
+    statuses, said = ended(processes, 3 * parallel.SILENCE)
     assert statuses[victim] == -signal.SIGKILL and statuses[1 - victim] == 2
     (line,) = said[1 - victim].splitlines()
     assert line.startswith("train.py: another process has ended") and "--resume" in line
@@ -222,7 +290,9 @@ def test_a_stop_that_one_is_asked_for_stops_both(finished, tmp_path):
 def test_other_flags_of_another_process_are_one_line(tmp_path):
     folder, port = tmp_path / "run", free_port()
     lrs = enumerate((1e-4, 2e-4))
-    statuses, said = ended([p for i, lr in lrs for p in start(folder, *FLAGS, 2, "--lr", lr, port=port, only=[i])])
+    statuses, said = ended(
+        [p for i, lr in lrs for p in start(folder, *FLAGS, 2, "--lr", lr, port=port, only=[i])]
+    )
     assert statuses == [2, 2] and all(len(text.splitlines()) == 1 for text in said)
     assert any("--lr" in text for text in said)
 

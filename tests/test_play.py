@@ -1,4 +1,6 @@
-"""play.py, and the policy outside of this project: docs/deploy.md, a GIF, the viewer, and the ground that is drawn."""
+"""play.py, and the policy outside of this project: docs/deploy.md, a GIF, the viewer, and the
+ground that is drawn.
+"""
 
 import ctypes.util
 import itertools
@@ -27,11 +29,13 @@ import terrain
 from runtime import policy_file, run_folder
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
-if play.HEADLESS:  # it has set this for itself; processes that other tests start must not inherit it
+# it has set this for itself; processes that other tests start must not inherit it
+if play.HEADLESS:
     os.environ.pop("MUJOCO_GL", None)
 HEADLESS = {name: x for name, x in os.environ.items() if name not in DISPLAYS}
 needs_gl = pytest.mark.skipif(
-    not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")), reason="needs libegl1 or libosmesa6"
+    not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")),
+    reason="needs libegl1 or libosmesa6",
 )
 
 
@@ -46,8 +50,9 @@ def runs(tmp_path_factory):
 
 
 def test_the_lines_in_deploy_md_are_the_policy(runs, tmp_path, monkeypatch):
-    """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer is so large that
-    about half of the actions are beyond +- 10, so that the clip is part of it; 10 * 0.25 rad is computed to 1e-5."""
+    """Random frames in SI units: q_nominal + scale * clip(mean of networks.policy). The last layer
+    is so large that about half of the actions are beyond +- 10, so that the clip is part of it; 10
+    * 0.25 rad is computed to 1e-5."""
     params, env_cfg = policy_file.load(runs["velocity"] / "policy.npz")
     params["actor"]["layers"][-1] = jax.tree.map(lambda x: 40 * x, params["actor"]["layers"][-1])
     policy_file.save(tmp_path / "policy.npz", params, env_cfg)
@@ -68,7 +73,9 @@ def test_the_lines_in_deploy_md_are_the_policy(runs, tmp_path, monkeypatch):
 
 
 def test_what_the_other_side_needs_is_in_the_file(runs):
-    """torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, and the policy 50 times."""
+    """torque = kp (target - q) - kd qd with the Go1's 20 and 0.5, 200 times a second, and the
+    policy 50 times.
+    """
     arrays = run_folder.read_npz(runs["flat"] / "policy.npz")
     env_cfg = policy_file.load(runs["flat"] / "policy.npz")[1]
     assert (arrays["kp"], arrays["kd"]) == (20.0, 0.5)
@@ -76,11 +83,18 @@ def test_what_the_other_side_needs_is_in_the_file(runs):
 
 
 def test_training_loads_nothing_to_look_at_it():
-    """A cluster's node has no display. glfw comes with `import mujoco`, which this project does not control."""
+    """A cluster's node has no display. glfw comes with `import mujoco`, which this project does not
+    control.
+    """
     heavy = ("play", "mujoco.viewer", "mujoco.renderer", "OpenGL", "PIL", "matplotlib")
     code = f"import sys, train; print([name for name in {heavy} if name in sys.modules])"
     said = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=HEADLESS, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=HEADLESS,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert said.stdout == "[]\n"
 
@@ -97,12 +111,30 @@ def test_without_a_display_one_line_says_what_to_do(runs):
 
 @pytest.fixture(scope="module")
 def gifs(runs, tmp_path_factory):
-    """A folder with flat.gif, velocity.gif and slow.gif, all made by one process (starting one takes long)."""
+    """A folder with flat.gif, velocity.gif and slow.gif, all made by one process (starting one
+    takes long).
+    """
     folder = tmp_path_factory.mktemp("gifs")
-    argvs = [[str(runs[task]), "--gif", f"{folder / task}.gif", "--seconds", "0.3"] for task in ("flat", "velocity")]
-    argvs += [[str(runs["flat"]), "--gif", f"{folder}/slow.gif", "--seconds", "0.1", "--slow", "4", "--forces"]]
+    argvs = [
+        [str(runs[task]), "--gif", f"{folder / task}.gif", "--seconds", "0.3"]
+        for task in ("flat", "velocity")
+    ]
+    argvs += [
+        [
+            str(runs["flat"]),
+            "--gif",
+            f"{folder}/slow.gif",
+            "--seconds",
+            "0.1",
+            "--slow",
+            "4",
+            "--forces",
+        ]
+    ]
     code = f"import play; print([play.main(argv) for argv in {argvs}])"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=HEADLESS, capture_output=True, text=True
+    )
     assert (done.stdout, done.stderr) == ("[0, 0, 0]\n", "")
     return folder
 
@@ -120,15 +152,21 @@ def test_a_gif_needs_no_display(gifs, task):
             frames.append(np.asarray(gif.convert("RGB"), int)[20:])  # without the caption
     assert durations == [60] * 5
     assert all(frame.std(axis=(0, 1)).min() > 5 for frame in frames), "nothing but one colour"
-    assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(frames)), "nothing moves"
+    assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(frames)), (
+        "nothing moves"
+    )
 
 
 @needs_gl
 def test_a_slow_gif_has_every_step_and_forces(gifs):
-    """0.1 s are five steps of 20 ms, each shown for 80 ms. The arrows are of a colour that nothing else has."""
+    """0.1 s are five steps of 20 ms, each shown for 80 ms. The arrows are of a colour that nothing
+    else has.
+    """
     with Image.open(gifs / "slow.gif") as slow, Image.open(gifs / "flat.gif") as flat:
         assert (slow.n_frames, slow.info["duration"]) == (5, 80)
-        orange = [(np.asarray(gif.convert("RGB"), int) @ [1, 0, -1] > 120).sum() for gif in (slow, flat)]
+        orange = [
+            (np.asarray(gif.convert("RGB"), int) @ [1, 0, -1] > 120).sum() for gif in (slow, flat)
+        ]
     assert orange[0] > 10 and orange[1] == 0
 
 
@@ -142,7 +180,9 @@ print([play.main([sys.argv[1], *argv]) for argv in ([], ["--gif", sys.argv[2]])]
 
 
 def test_without_opengl_two_lines_say_what_to_do(runs, tmp_path):
-    """A container without display and without libraries: no traceback, but what to add and what to install."""
+    """A container without display and without libraries: no traceback, but what to add and what to
+    install.
+    """
     command = [sys.executable, "-c", BARE, runs["flat"], tmp_path / "a.gif"]
     done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
     window, gif = done.stderr.splitlines()
@@ -150,10 +190,16 @@ def test_without_opengl_two_lines_say_what_to_do(runs, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="displays have names on Linux")
-@pytest.mark.parametrize("name, value", [("DISPLAY", ":4321"), ("WAYLAND_DISPLAY", "gone"), ("MUJOCO_GL", "glfw")])
+@pytest.mark.parametrize(
+    "name, value", [("DISPLAY", ":4321"), ("WAYLAND_DISPLAY", "gone"), ("MUJOCO_GL", "glfw")]
+)
 @pytest.mark.parametrize("gif", [[], ["--gif", "a.gif"]], ids=["window", "gif"])
-def test_a_display_that_does_not_answer_is_one_line(runs, tmp_path, capsys, monkeypatch, name, value, gif):
-    """A connection that is gone, as tmux and screen keep it in DISPLAY. GLFW warns, and MuJoCo ends the process."""
+def test_a_display_that_does_not_answer_is_one_line(
+    runs, tmp_path, capsys, monkeypatch, name, value, gif
+):
+    """A connection that is gone, as tmux and screen keep it in DISPLAY. GLFW warns, and MuJoCo ends
+    the process.
+    """
     for display in DISPLAYS:
         monkeypatch.delenv(display, raising=False)
     monkeypatch.setenv(name, value)
@@ -166,12 +212,16 @@ def test_a_display_that_does_not_answer_is_one_line(runs, tmp_path, capsys, monk
 def test_a_backend_that_mujoco_does_not_have_is_one_line():
     """It is an error of `import mujoco` itself."""
     command = [sys.executable, ROOT / "play.py", "-h"]
-    done = subprocess.run(command, env=HEADLESS | dict(MUJOCO_GL="foo"), capture_output=True, text=True)
+    done = subprocess.run(
+        command, env=HEADLESS | dict(MUJOCO_GL="foo"), capture_output=True, text=True
+    )
     (line,) = done.stderr.splitlines()
     assert done.returncode == 2 and line.startswith("play.py: MUJOCO_GL=foo ") and "unset" in line
 
 
-def test_a_full_disk_is_told_before_anything_is_drawn_and_keeps_the_old_gif(runs, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_is_told_before_anything_is_drawn_and_keeps_the_old_gif(
+    runs, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(play, "make_scene", None)
     (tmp_path / "a.gif").write_bytes(b"before")
     with full_disk(10_000):
@@ -215,14 +265,21 @@ def test_a_gif_is_replaced_in_one_step(env, tmp_path, monkeypatch):
         *(("rough", f"--roughness {x}", "roughness") for x in ("-1", "nan", "1000000")),
         *(("flat", f"--command {x}", "--command") for x in ("1e300 0 0", "0 nan 0", "0 0 -11")),
         ("flat", "--gif=", "--gif is ''"),
-        *(("flat", f"--gif a.gif --seconds {x}", "--seconds") for x in ("0", "-3", "0.02", "inf", "nan")),
+        *(
+            ("flat", f"--gif a.gif --seconds {x}", "--seconds")
+            for x in ("0", "-3", "0.02", "inf", "nan")
+        ),
         *(("flat", f"--gif a.gif --slow {x}", "--slow") for x in ("0", "nan")),
         ("flat", "--gif none/a.gif", "none/a.gif"),
         ("flat", "--gif a.png", "a.png"),
     ],
 )
-def test_what_goes_wrong_is_one_line_before_anything_is_drawn(runs, tmp_path, capsys, monkeypatch, run, argv, says):
-    """What is no run folder or no policy; no ground; a GIF without frames, without end or without a place."""
+def test_what_goes_wrong_is_one_line_before_anything_is_drawn(
+    runs, tmp_path, capsys, monkeypatch, run, argv, says
+):
+    """What is no run folder or no policy; no ground; a GIF without frames, without end or without a
+    place.
+    """
     monkeypatch.setattr(play, "make_scene", None)
     monkeypatch.chdir(tmp_path)
     if run == "truncated":
@@ -237,18 +294,30 @@ def test_what_goes_wrong_is_one_line_before_anything_is_drawn(runs, tmp_path, ca
 
 @pytest.mark.parametrize(
     "task, argv, command",
-    [("flat", "", [1, 0, 0]), ("velocity", "", [0, 0, 0]), ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2])],
+    [
+        ("flat", "", [1, 0, 0]),
+        ("velocity", "", [0, 0, 0]),
+        ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2]),
+    ],
 )
 def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
     monkeypatch.setattr(play, "check_drawing", lambda gif: None)
-    monkeypatch.setattr(play, "watch", lambda env, steps, asked, *_: seen.append((next(steps), env, asked)))
+    monkeypatch.setattr(
+        play, "watch", lambda env, steps, asked, *_: seen.append((next(steps), env, asked))
+    )
     assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, env, asked),) = seen
-    assert asked.tolist() == command and env.state.command.tolist() == [command] and log["command_x"] == command[:1]
+    assert (
+        asked.tolist() == command
+        and env.state.command.tolist() == [command]
+        and log["command_x"] == command[:1]
+    )
 
 
-@pytest.mark.parametrize("argv, warns", [("--command 1.5 0 0", "1.5"), ("--command 0.5 0 0", ""), ("", "")])
+@pytest.mark.parametrize(
+    "argv, warns", [("--command 1.5 0 0", "1.5"), ("--command 0.5 0 0", ""), ("", "")]
+)
 def test_a_command_that_was_not_trained_is_a_warning(runs, monkeypatch, capsys, argv, warns):
     monkeypatch.setattr(play, "check_drawing", lambda gif: None)
     monkeypatch.setattr(play, "watch", lambda *_: None)
@@ -257,10 +326,20 @@ def test_a_command_that_was_not_trained_is_a_warning(runs, monkeypatch, capsys, 
     assert len(lines) == bool(warns) and all(warns in line for line in lines)
 
 
-@pytest.mark.parametrize("task, asked, height", [("rough", None, 0.15), ("velocity", None, 0.05), ("flat", None, 0),
-                                                 ("rough", 0.03, 0.03), ("flat", 0.1, 0.1)])  # fmt: skip
+@pytest.mark.parametrize(
+    "task, asked, height",
+    [
+        ("rough", None, 0.15),
+        ("velocity", None, 0.05),
+        ("flat", None, 0),
+        ("rough", 0.03, 0.03),
+        ("flat", 0.1, 0.1),
+    ],
+)
 def test_the_ground_is_the_runs_roughest_or_the_given_one(runs, task, asked, height):
-    """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point; the episode does not end by time."""
+    """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point; the episode does
+    not end by time.
+    """
     env = play.make_env(policy_file.load(runs[task] / "policy.npz")[1], asked)
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
@@ -276,14 +355,20 @@ def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then)
         seen.append(env.state.action.copy())
         if i == 1:
             make_run(tmp_path, "flat", action=1.5)
-            later = (tmp_path / "policy.npz").stat().st_mtime + 1  # the clock of a file system may be coarse
+            # the clock of a file system may be coarse
+            later = (tmp_path / "policy.npz").stat().st_mtime + 1
             os.utime(tmp_path / "policy.npz", (later, later))
     assert [np.unique(action).tolist() for action in seen] == [[0.5], [0.5], [then], [then]]
 
 
 def test_the_command_may_change_on_the_way(runs):
-    """What the arrow keys do: from the next observation on it is another command. Scale 2 [lab code], no noise."""
-    env, command = play.make_env(policy_file.load(runs["flat"] / "policy.npz")[1]), np.array([0.5, 0, 0])
+    """What the arrow keys do: from the next observation on it is another command. Scale 2 [lab
+    code], no noise.
+    """
+    env, command = (
+        play.make_env(policy_file.load(runs["flat"] / "policy.npz")[1]),
+        np.array([0.5, 0, 0]),
+    )
     steps = play.play(env, runs["flat"], command)
     next(steps)
     assert env.state.frames[0, :, 3].tolist() == [1.0, 1.0]
@@ -296,7 +381,9 @@ def test_the_command_may_change_on_the_way(runs):
 
 
 class FakeViewer:
-    """What mujoco.viewer.launch_passive returns, without a window: presses a key in each frame, then closes."""
+    """What mujoco.viewer.launch_passive returns, without a window: presses a key in each frame,
+    then closes.
+    """
 
     def __init__(self, keys):
         self.keys, self.texts, self.cam, self.lock = iter(keys), [], mujoco.MjvCamera(), nullcontext
@@ -349,7 +436,9 @@ def env():
     ],
 )
 def test_keys_set_the_command(monkeypatch, env, keys, command):
-    """From 0.5 m/s and 0.2 rad/s: 0.1 for each press of an arrow, left is positive yaw; other keys do nothing."""
+    """From 0.5 m/s and 0.2 rad/s: 0.1 for each press of an arrow, left is positive yaw; other keys
+    do nothing.
+    """
     asked = np.array([0.5, 0, 0.2])
     watch(monkeypatch, env, keys, asked)
     assert asked == pytest.approx(command)
@@ -358,17 +447,27 @@ def test_keys_set_the_command(monkeypatch, env, keys, command):
 def test_the_overlay_says_what_is_asked_and_done(monkeypatch, env):
     """1.26 m/s and 300.4 W of the log, rounded; what is not asked for is not mentioned."""
     keys = [glfw.KEY_UP, glfw.KEY_LEFT, glfw.KEY_BACKSPACE, glfw.KEY_SPACE]
-    texts = [re.sub(" +", " ", text) for text in watch(monkeypatch, env, keys, np.array([0.4, 0, 0])).texts]
+    texts = [
+        re.sub(" +", " ", text)
+        for text in watch(monkeypatch, env, keys, np.array([0.4, 0, 0])).texts
+    ]
     assert all(text.endswith("v_x 1.3 m/s 300 W") for text in texts)
     assert [text.removesuffix("v_x 1.3 m/s 300 W").strip() for text in texts] == [
-        "asked 0.4 m/s", "asked 0.5 m/s", "asked 0.5 m/s 0.1 rad/s", ""]  # fmt: skip
+        "asked 0.4 m/s",
+        "asked 0.5 m/s",
+        "asked 0.5 m/s 0.1 rad/s",
+        "",
+    ]
 
 
 def test_the_viewer_shows_the_simulated_robot_in_real_time(monkeypatch, env):
-    """The drawn pose is the simulated one; a frame lasts 20 ms, so four of them take 80 ms at least."""
+    """The drawn pose is the simulated one; a frame lasts 20 ms, so four of them take 80 ms at
+    least.
+    """
     slept = []
     monkeypatch.setattr(play.time, "sleep", slept.append)
-    monkeypatch.setattr(play.time, "monotonic", itertools.count(0, 0.005).__next__)  # a frame's work takes 5 ms
+    # a frame's work takes 5 ms
+    monkeypatch.setattr(play.time, "monotonic", itertools.count(0, 0.005).__next__)
     viewer = watch(monkeypatch, env, [0] * 4, np.zeros(3))
     assert slept == pytest.approx([0.015] * 4)
     assert viewer.data.qpos.tolist() == env.qpos[0].tolist()
@@ -376,7 +475,9 @@ def test_the_viewer_shows_the_simulated_robot_in_real_time(monkeypatch, env):
 
 
 def test_the_viewer_shows_it_slower_and_with_forces(monkeypatch, env):
-    """Four times slower a frame of 20 ms lasts 80, of which its work takes 5; no forces unless they are asked for."""
+    """Four times slower a frame of 20 ms lasts 80, of which its work takes 5; no forces unless they
+    are asked for.
+    """
     slept, force = [], mujoco.mjtVisFlag.mjVIS_CONTACTFORCE
     monkeypatch.setattr(play.time, "sleep", slept.append)
     monkeypatch.setattr(play.time, "monotonic", itertools.count(0, 0.005).__next__)
@@ -386,7 +487,9 @@ def test_the_viewer_shows_it_slower_and_with_forces(monkeypatch, env):
 
 
 def test_the_forces_that_are_drawn_carry_the_robot(env):
-    """Over the half second in which it lands and stands: their mean is the weight, as drawn, to 5 %."""
+    """Over the half second in which it lands and stands: their mean is the weight, as drawn, to 5
+    %.
+    """
     model, data = play.make_scene(env)
     env.state.mass[0, env.trunk.id] += 2.0  # kg
     env.state.com[0, env.trunk.id] += [0.03, 0.0, 0.0]  # m
@@ -407,7 +510,9 @@ def test_the_forces_that_are_drawn_carry_the_robot(env):
 
 @pytest.mark.parametrize("yaw, azimuth", [(0, 125), (90, 215), (-90, 35)])
 def test_the_camera_looks_from_the_front_right(env, yaw, azimuth):
-    """MuJoCo's azimuth is the direction of sight: with a heading of 0 along x, 125 degrees looks to back and left."""
+    """MuJoCo's azimuth is the direction of sight: with a heading of 0 along x, 125 degrees looks to
+    back and left.
+    """
     env.qpos[0, 3:7] = np.cos(np.radians(yaw) / 2), 0, 0, np.sin(np.radians(yaw) / 2)
     camera = mujoco.MjvCamera()
     play.point(camera, env, play.make_scene(env)[0])
@@ -428,15 +533,27 @@ os._exit(0)  # at exit GLFW and Mesa's software renderer may wait for each other
 
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb")
 def test_the_viewer_runs_until_ctrl_c(runs):
-    """On a virtual display: it draws, complains of nothing, and Ctrl-C ends it without a traceback."""
-    server = subprocess.Popen(["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"], stdout=subprocess.PIPE,
-                              stderr=subprocess.DEVNULL, text=True)  # fmt: skip
+    """On a virtual display: it draws, complains of nothing, and Ctrl-C ends it without a
+    traceback.
+    """
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     with server:
         try:
             display = HEADLESS | dict(DISPLAY=f":{server.stdout.readline().strip()}")
             command = [sys.executable, "-c", LOUD, runs["velocity"]]
-            with subprocess.Popen(command, cwd=ROOT, env=display, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                                  text=True) as viewer:  # fmt: skip
+            with subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=display,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            ) as viewer:
                 shown = [viewer.stdout.readline() for _ in range(10)]
                 running = viewer.poll() is None
                 viewer.send_signal(signal.SIGINT)
@@ -454,8 +571,12 @@ def test_the_viewer_runs_until_ctrl_c(runs):
 
 
 def drawn_ground(model, data, xy):
-    """Height [m] of the drawn height field under xy (2,) [m], NaN where there is none: a ray from 5 m above."""
-    down = mujoco.mj_rayHfield(model, data, model.geom("floor").id, np.array([*xy, 5.0]), np.array([0, 0, -1.0]))
+    """Height [m] of the drawn height field under xy (2,) [m], NaN where there is none: a ray from 5
+    m above.
+    """
+    down = mujoco.mj_rayHfield(
+        model, data, model.geom("floor").id, np.array([*xy, 5.0]), np.array([0, 0, -1.0])
+    )
     return 5 - down if down >= 0 else np.nan
 
 
@@ -468,7 +589,9 @@ def hills():
 
 
 def test_the_drawn_robot_stands_on_the_drawn_ground_as_the_simulated_one(hills):
-    """Anywhere on the tile, at the points of the height field, where rays and terrain.height need not interpolate."""
+    """Anywhere on the tile, at the points of the height field, where rays and terrain.height need
+    not interpolate.
+    """
     env, model, data = hills
     rng = np.random.default_rng(0)
     for corner in rng.integers(80, size=(30, 2)) * 0.05:
@@ -480,7 +603,9 @@ def test_the_drawn_robot_stands_on_the_drawn_ground_as_the_simulated_one(hills):
 
 
 def test_the_camera_looks_at_a_robot_with_a_payload(hills):
-    """It follows the robot's centre of mass, which 3 kg more in the trunk move by less than 20 cm, also 14 m away."""
+    """It follows the robot's centre of mass, which 3 kg more in the trunk move by less than 20 cm,
+    also 14 m away.
+    """
     env, model, data = hills
     env.reset(0)
     env.state.mass[0, env.trunk.id] += 3.0
@@ -491,13 +616,17 @@ def test_the_camera_looks_at_a_robot_with_a_payload(hills):
 
 @pytest.mark.parametrize("corner", [(0, 0), (0, 4), (4, 0), (4, 4)], ids=str)
 def test_at_the_edge_of_its_tile_there_is_ground_on_all_sides(hills, corner):
-    """Ten metres in every direction, and it is the ground on which the robot will find itself there: the tile's own."""
+    """Ten metres in every direction, and it is the ground on which the robot will find itself
+    there: the tile's own.
+    """
     env, model, data = hills
     env.qpos[0, :2] = terrain.origin(0) + np.clip(corner, 0.05, 3.95)
     play.show(env, model, data)
     for way in np.array([(x, y) for x in (-10, -2.3, 0, 0.1, 10) for y in (-10, 0, 1.5, 10)]):
         real = terrain.height(env.ground, terrain.wrap(env.qpos[0, :2] + way + 1e-6, np.array(0)))
-        assert drawn_ground(model, data, data.qpos[:2] + way + 1e-6) == pytest.approx(real, abs=1e-4)
+        assert drawn_ground(model, data, data.qpos[:2] + way + 1e-6) == pytest.approx(
+            real, abs=1e-4
+        )
 
 
 def test_a_plane_needs_no_shift(env):

@@ -1,4 +1,4 @@
-"""results/readings.py: the readings of the paper that we tried and do not ship."""
+"""lab/readings.py: the readings of the paper that we tried and do not ship."""
 
 import csv
 import math
@@ -12,16 +12,17 @@ from support import ROOT, TINY
 import eipo
 import tasks
 import train
+from lab import readings
 
-sys.path.append(str(ROOT / "results"))
-import readings
-
-# two samples, streams r and lam f: means 5 and 1, standard deviations 2 and 4, so normalised (1, -1) and (-1, 1)
+# two samples, streams r and lam f: means 5 and 1, standard deviations 2 and 4, so normalised (1,
+# -1) and (-1, 1)
 ADVANTAGE = jnp.array([[[7.0, -3.0]], [[3.0, 5.0]]])
 
 
 def test_normalised_weighs_the_streams_by_alpha_lam():
-    """alpha lam = 1/2: 0.5 x 1 - (-1) = 1.5 and 0.5 x (-1) - 1 = -1.5. With lam = 0: 7 and 3 as they are."""
+    """alpha lam = 1/2: 0.5 x 1 - (-1) = 1.5 and 0.5 x (-1) - 1 = -1.5. With lam = 0: 7 and 3 as
+    they are.
+    """
     assert readings.mix_normalised(ADVANTAGE, 2.0, 0.25).ravel().tolist() == [1.5, -1.5]
     assert readings.mix_normalised(ADVANTAGE, math.inf, 0).ravel().tolist() == [7, 3]
 
@@ -33,28 +34,50 @@ def test_fixed_weighs_the_streams_whatever_alpha_and_lam_are():
 
 def trained(tmp_path, *flags):
     """The rows of metrics.csv after two iterations of `readings.py FLAGS`."""
-    argv = [sys.executable, "results/readings.py", *flags, *TINY, "--iterations", "2", "--out", str(tmp_path / "run")]
+    argv = [
+        sys.executable,
+        "-m",
+        "lab",
+        "readings",
+        *flags,
+        *TINY,
+        "--iterations",
+        "2",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     subprocess.run(argv, cwd=ROOT, check=True, capture_output=True)
     with (tmp_path / "run" / "metrics.csv").open() as file:
         return list(csv.DictReader(file))
 
 
 def test_noisy_keeps_the_noise_at_its_floor(tmp_path):
-    """It starts at exp(-3) = 0.05, below the floor of 0.6, so the first step of Adam clips it there."""
-    assert float(trained(tmp_path, "noisy", "--log-std", "-3")[-1]["std"]) == pytest.approx(0.6, abs=0.01)
+    """It starts at exp(-3) = 0.05, below the floor of 0.6, so the first step of Adam clips it
+    there.
+    """
+    assert float(trained(tmp_path, "noisy", "--log-std", "-3")[-1]["std"]) == pytest.approx(
+        0.6, abs=0.01
+    )
 
 
 def test_own_curricula_are_two():
-    """The usual environments hold one array of weights, and those of this reading hold two, 1.8 % of each at first."""
+    """The usual environments hold one array of weights, and those of this reading hold two, 1.8 %
+    of each at first.
+    """
     env_cfg, cfg = tasks.task_config("curriculum", roughness=(0.0, 0.0)), eipo.Config(num_envs=4)
-    shared = [env.state.weights for env in train.make_envs(env_cfg, cfg, 1)]
-    own = [env.state.weights for env in readings.with_own_commands(train.make_envs)(env_cfg, cfg, 1)]
+    shared = [env.state.command_weights for env in train.make_envs(env_cfg, cfg, 1)]
+    own = [
+        env.state.command_weights
+        for env in readings.with_own_commands(train.make_envs)(env_cfg, cfg, 1)
+    ]
     assert shared[0] is shared[1] and own[0] is not own[1]
     assert [weights.sum() for weights in own] == [16, 16]
 
 
 def test_exchange_weighs_what_it_borrows(tmp_path):
-    """A weight is min(1, ratio of probabilities), so its mean is in (0, 1]. Both policies are new: it is not yet 0."""
+    """A weight is min(1, ratio of probabilities), so its mean is in (0, 1]. Both policies are new:
+    it is not yet 0.
+    """
     assert all(0 < float(row["borrowed"]) <= 1 for row in trained(tmp_path, "exchange"))
 
 

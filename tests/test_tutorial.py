@@ -1,6 +1,8 @@
-"""tutorial.md, executed: its outputs, figures, quotes, names and flags are those of this repository.
+"""tutorial.md, executed: its outputs, figures, quotes, names and flags are those of this
+repository.
 
-`python tests/test_tutorial.py --write` runs the page and writes what comes out into it and into tutorial/.
+`python tests/test_tutorial.py --write` runs the page and writes what comes out into it and into
+tutorial/.
 """
 
 import ast
@@ -27,7 +29,7 @@ if __name__ == "__main__":
 
 import evaluate
 import play
-from runtime import flags, settings
+from runtime import flags
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -35,7 +37,8 @@ BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
-WALKED = {"hop", "leap"}  # figures of policies that walk: another machine's rounding grows with every step of theirs
+# figures of policies that walk: another machine's rounding grows with every step of theirs
+WALKED = {"hop", "leap"}
 MODULES = {path.stem for path in ROOT.glob("*.py")} | {"tutorial"}
 
 
@@ -45,19 +48,25 @@ def blocks(language):
 
 
 def rerun(code, scope):
-    """Run a block, a statement at a time; returns it with what each one printed below it, as #> lines."""
+    """Run a block, a statement at a time; returns it with what each one printed below it, as #>
+    lines.
+    """
     code = re.sub(r"^#>.*\n", "", code, flags=re.M)
     lines, result, done = code.splitlines(), [], 0
     for statement in ast.parse(code).body:
         with contextlib.redirect_stdout(io.StringIO()) as printed:
             exec(compile(ast.Module([statement], []), PAGE.name, "exec"), scope)
-        result += lines[done : statement.end_lineno] + [f"#> {x}".rstrip() for x in printed.getvalue().splitlines()]
+        result += lines[done : statement.end_lineno] + [
+            f"#> {x}".rstrip() for x in printed.getvalue().splitlines()
+        ]
         done = statement.end_lineno
     return "\n".join([*result, *lines[done:]]) + "\n"
 
 
 def run_page():
-    """The page with all its python blocks run in order in one namespace, in the root of the repository."""
+    """The page with all its python blocks run in order in one namespace, in the root of the
+    repository.
+    """
     scope = {"__name__": "tutorial"}
 
     def replace(match):
@@ -71,11 +80,16 @@ def run_page():
 
 
 def alike(shown, printed):
-    """Whether two lines agree: words and whole numbers exactly, decimal fractions to one unit of the last place."""
+    """Whether two lines agree: words and whole numbers exactly, decimal fractions to one unit of
+    the last place.
+    """
     if NUMBER.sub("#", shown).split() != NUMBER.sub("#", printed).split():
         return False
     pairs = zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
-    return all(abs(float(a) - float(b)) <= ("." in a) * 1.01 * 10.0 ** -len(a.partition(".")[2]) for a, b in pairs)
+    return all(
+        abs(float(a) - float(b)) <= ("." in a) * 1.01 * 10.0 ** -len(a.partition(".")[2])
+        for a, b in pairs
+    )
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +102,9 @@ def page():
 
 
 def test_outputs_are_those_of_the_page(page):
-    """If this fails because something was meant to change: python tests/test_tutorial.py --write, and read the page."""
+    """If this fails because something was meant to change: python tests/test_tutorial.py --write,
+    and read the page.
+    """
     shown, printed = PAGE.read_text().splitlines(), page[0].splitlines()
     wrong = [(a, b) for a, b in zip(shown, printed, strict=False) if not alike(a, b)]
     assert not wrong and len(shown) == len(printed), wrong[:3]
@@ -108,17 +124,26 @@ def test_blocks_can_be_pasted():
 def test_alike_is_strict_enough():
     assert alike("alpha 2.00, 3 runs", "alpha  1.99, 3 runs")
     assert not alike("alpha 2.00", "alpha 1.98")
-    assert not alike("3 runs", "4 runs") and not alike("a 1.0", "b 1.0") and not alike("1.0", "1.0 2.0")
+    assert (
+        not alike("3 runs", "4 runs")
+        and not alike("a 1.0", "b 1.0")
+        and not alike("1.0", "1.0 2.0")
+    )
 
 
 def read_csv(path):
     header, *rows = path.read_text().splitlines()
     columns = zip(*(row.split(",") for row in rows), strict=True)
-    return {key: [float(x) for x in column if x] for key, column in zip(header.split(","), columns, strict=True)}
+    return {
+        key: [float(x) for x in column if x]
+        for key, column in zip(header.split(","), columns, strict=True)
+    }
 
 
 def test_figures_show_what_the_page_computed(page):
-    """Data beside data: every number of tutorial/*.csv, and no pixel. Of WALKED it is the mean of each column."""
+    """Data beside data: every number of tutorial/*.csv, and no pixel. Of WALKED it is the mean of
+    each column.
+    """
     drawn = page[1]
     assert set(drawn) == set(figures.FIGURES) == {path.stem for path in figures.HERE.glob("*.csv")}
     for name, columns in drawn.items():
@@ -129,21 +154,27 @@ def test_figures_show_what_the_page_computed(page):
             if name in WALKED:
                 now, before = now.mean(), before.mean()
             scale = np.abs(x).max() * (100 if name in WALKED else 1)
-            np.testing.assert_allclose(now, before, rtol=1e-3, atol=1e-3 * scale, err_msg=f"{name}: {key}")
+            np.testing.assert_allclose(
+                now, before, rtol=1e-3, atol=1e-3 * scale, err_msg=f"{name}: {key}"
+            )
 
 
 def test_figures_are_drawn_from_their_data_and_shown():
     for name in figures.FIGURES:
         text = (figures.HERE / f"{name}.csv").read_text()
         with Image.open(figures.HERE / f"{name}.png") as image:
-            assert image.text["Description"] == figures.checksum(text), f"{name}.png is not of {name}.csv"
+            assert image.text["Description"] == figures.checksum(text), (
+                f"{name}.png is not of {name}.csv"
+            )
             assert np.asarray(image.convert("RGBA"))[0, 0].tolist() == [255, 255, 255, 255]
         assert f"(tutorial/{name}.png)" in PAGE.read_text()
 
 
 @pytest.mark.parametrize("name", figures.FIGURES)
 def test_figures_have_labelled_axes_and_few_series(name):
-    figure = figures.FIGURES[name]({key: np.array(x) for key, x in read_csv(figures.HERE / f"{name}.csv").items()})
+    figure = figures.FIGURES[name](
+        {key: np.array(x) for key, x in read_csv(figures.HERE / f"{name}.csv").items()}
+    )
     assert figure.axes
     for axes in figure.axes:
         bar, beside = axes.get_label() == "<colorbar>", axes.get_shared_y_axes().get_siblings(axes)
@@ -159,11 +190,15 @@ def test_figures_are_small():
 
 
 def excerpt_of(part, whole):
-    """Whether the lines of part stand in whole, one after the other, all indented by the same amount."""
+    """Whether the lines of part stand in whole, one after the other, all indented by the same
+    amount.
+    """
     part, whole = part.splitlines(), whole.splitlines()
     for start in range(len(whole) - len(part) + 1):
         found = whole[start : start + len(part)]
-        indent = " " * (len(found[0]) - len(found[0].lstrip()) - len(part[0]) + len(part[0].lstrip()))
+        indent = " " * (
+            len(found[0]) - len(found[0].lstrip()) - len(part[0]) + len(part[0].lstrip())
+        )
         if found == [indent + line if line else "" for line in part]:
             return True
     return False
@@ -175,11 +210,15 @@ def resolve(name):
     found = sys.modules.get(module) or __import__(module)
     for attribute in rest:
         fields = getattr(found, "__dataclass_fields__", None) or getattr(found, "_fields", ())
-        found = getattr(found, attribute, None) or (attribute in fields) or getattr(found, attribute)
+        found = (
+            getattr(found, attribute, None) or (attribute in fields) or getattr(found, attribute)
+        )
     return found
 
 
-QUOTES = [(found[1], code[found.end() :]) for code in blocks("python") if (found := QUOTED.match(code))]
+QUOTES = [
+    (found[1], code[found.end() :]) for code in blocks("python") if (found := QUOTED.match(code))
+]
 
 
 @pytest.mark.parametrize(("name", "code"), QUOTES, ids=[name for name, _ in QUOTES])
@@ -201,12 +240,14 @@ def test_names_and_files_in_the_prose_exist():
         if re.fullmatch(r"test_\w+", name):
             assert f"def {name}(" in tests, name
         elif re.fullmatch(r"[\w./-]+\.(py|md|csv|npz|json|xml|png)", name) and "runs/" not in name:
-            assert list(ROOT.rglob(Path(name).name)), name
+            a_run_s = name in ("metrics.csv", "checkpoint.npz", "config.json", "curves.png")
+            assert a_run_s or list(ROOT.rglob(Path(name).name)), name
         elif re.fullmatch(r"\w+(\.\w+)+", name) and name.split(".")[0] in MODULES:
             assert resolve(name) is not None, name
     for link in re.findall(r"\]\(([^)#:]+)\)", prose):
         assert (ROOT / link).exists(), link
-    deviations = set(re.findall(r"^### (D\d+)\. ", (ROOT / "deviations.md").read_text(), re.M))
+    page = (ROOT / "deviations.md").read_text()
+    deviations = set(re.findall(r"^(?:### |\| )(D\d+)(?:\.| \|) ", page, re.M))
     assert set(re.findall(r"\bD\d+\b", prose)) <= deviations
 
 
@@ -225,7 +266,7 @@ def test_commands_parse():
         assert python == "python" and (ROOT / script).exists(), line
         if script == "train.py":
             _, env, learner = flags.parse(argv)
-            settings.check_learner(flags.settle(env, learner)[1])
+            flags.check_learner(flags.settle(env, learner)[1])
         else:
             known = {"evaluate.py": evaluate.main, "play.py": play.main}
             allowed = flags_of(known[script]) if script in known else {"--write"}
@@ -237,14 +278,20 @@ SABOTAGES = [found.groups() for diff in blocks("diff") for found in SABOTAGE.fin
 
 
 def sabotaged(path, diff):
-    """The text of path with the - lines of diff, which stand there once, replaced by its + lines."""
-    removed, added = ("".join(x[1:] for x in diff.splitlines(keepends=True) if x[0] == sign) for sign in "-+")
+    """The text of path with the - lines of diff, which stand there once, replaced by its +
+    lines.
+    """
+    removed, added = (
+        "".join(x[1:] for x in diff.splitlines(keepends=True) if x[0] == sign) for sign in "-+"
+    )
     text = path.read_text()
     assert text.count(removed) == 1, removed
     return text.replace(removed, added)
 
 
-EVERY = pytest.mark.parametrize(("file", "test", "diff", "line"), SABOTAGES, ids=[test for _, test, *_ in SABOTAGES])
+EVERY = pytest.mark.parametrize(
+    ("file", "test", "diff", "line"), SABOTAGES, ids=[test for _, test, *_ in SABOTAGES]
+)
 
 
 def test_every_exercise_is_tested():
@@ -254,7 +301,9 @@ def test_every_exercise_is_tested():
 
 @EVERY
 def test_sabotages_fit_the_source(file, test, diff, line):
-    """The - lines stand in the file that the page names, and the assertion in the one test of that name."""
+    """The - lines stand in the file that the page names, and the assertion in the one test of that
+    name.
+    """
     ast.parse(sabotaged(ROOT / file, diff))
     (home,) = (path.read_text() for path in TESTS if f"def {test}(" in path.read_text())
     assert f"    {line}\n" in home.split(f"def {test}(")[1].split("\ndef ")[0]
@@ -263,13 +312,20 @@ def test_sabotages_fit_the_source(file, test, diff, line):
 @pytest.mark.slow
 @EVERY
 def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, line, tmp_path):
-    """In a copy of the repository: the named test passes before, and fails after, in that assertion and nowhere else.
+    """In a copy of the repository: the named test passes before, and fails after, in that assertion
+    and nowhere else.
 
-    A test that ends in another error, of broadcasting perhaps, shows other lines, or another exception.
+    A test that ends in another error, of broadcasting perhaps, shows other lines, or another
+    exception.
     """
     copy = tmp_path / "copy"
     copy.mkdir()
-    for path in [*ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"]:
+    for path in [
+        *ROOT.glob("*.py"),
+        *ROOT.glob("*.xml"),
+        ROOT / "pyproject.toml",
+        ROOT / "README.md",
+    ]:
         shutil.copy(path, copy)
     for folder in ("runtime", "studies", "tests"):
         shutil.copytree(ROOT / folder, copy / folder)
@@ -281,7 +337,9 @@ def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, line, tmp_
     after = subprocess.run(command, cwd=copy, capture_output=True, text=True)
     assert after.returncode == 1 and f"FAILED {home}::{test}" in after.stdout, after.stdout
     assert set(re.findall(r"^> +(.*)$", after.stdout, re.M)) == {line}, after.stdout
-    assert set(re.findall(r"^\S+:\d+: (\w+)$", after.stdout, re.M)) == {"AssertionError"}, after.stdout
+    assert set(re.findall(r"^\S+:\d+: (\w+)$", after.stdout, re.M)) == {"AssertionError"}, (
+        after.stdout
+    )
 
 
 if __name__ == "__main__":

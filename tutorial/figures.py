@@ -1,12 +1,15 @@
-"""The figures of tutorial.md: `draw(name, column=..., ...)` writes tutorial/NAME.csv and draws NAME.png from it.
+"""The figures of tutorial.md: `draw(name, column=..., ...)` writes tutorial/NAME.csv and draws
+NAME.png from it.
 
-The columns come from the page, where they teach something, and otherwise from the functions of the first part of this
-file. A PNG carries the checksum of the CSV that it was drawn from, so that a test can compare the data and leave the
-pixels alone. The background is opaque white, so that the figures can be read on white and on dark pages.
+The columns come from the page, where they teach something, and otherwise from the functions of the
+first part of this file. A PNG carries the checksum of the CSV that it was drawn from, so that a
+test can compare the data and leave the pixels alone. The background is opaque white, so that the
+figures can be read on white and on dark pages.
 """
 
 import csv
 import hashlib
+from functools import lru_cache
 from itertools import pairwise, zip_longest
 from pathlib import Path
 
@@ -15,11 +18,12 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import go1
-from runtime import metrics
+from lab import record
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"  # our trained runs
-BLUE, ORANGE, GREEN, RED, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#777777"  # safe for colour-blind readers
+# safe for colour-blind readers
+BLUE, ORANGE, GREEN, RED, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#777777"
 LEGS = (BLUE, "#56b4e9", "black", ORANGE)  # of FR, FL, RR, RL
 COLOURS = (BLUE, ORANGE, GREEN, RED, "#cc79a7", "#56b4e9", GREY, "black")
 
@@ -50,21 +54,38 @@ def draw(name, **columns):
 # ---- columns ----
 
 
+tables = lru_cache(record.groups)  # a page asks for many runs of one file
+
+
+def kept(run):
+    """The columns of metrics.csv of a run, TASK/NAME, of which results/ keeps every tenth row."""
+    task, name = run.split("/")
+    rows = tables(RESULTS / task / record.METRICS)[name]
+    return {key: np.array([row[key] for row in rows], float) for key in record.without_run(rows[0])}
+
+
 def training(runs, names, until=None):
-    """Columns {"RUN:NAME": (n,)} of metrics.csv, up to an iteration; runs: {run: folder in results/}."""
+    """Columns {"RUN:NAME": (n,)} of metrics.csv, up to an iteration; runs: {run: TASK/NAME}."""
     columns = {}
-    for run, folder in runs.items():
-        c = metrics.read(RESULTS / folder)
+    for run, where in runs.items():
+        c = kept(where)
         rows = c["iteration"] <= (until or np.inf)
         columns |= {f"{run}:{name}": c[name][rows] for name in ("steps", *names) if name in c}
     return columns
 
 
 def published():
-    """Columns {"PANEL:RUN:x": (n,), "PANEL:RUN:y": (n,)} of our Figures 2 to 6, from their CSVs in results/."""
-    sources = dict(fig2=("flat/fig2.csv", "performance"), fig3=("rough/fig3.csv", "performance"),
-                   energy=("rough/fig3.csv", "energy"), fig5=("curriculum/fig5.csv", "performance"),
-                   power=("curriculum/fig5.csv", "power"), fig6=("velocity/fig6.csv", "v_x"))  # fmt: skip
+    """Columns {"PANEL:RUN:x": (n,), "PANEL:RUN:y": (n,)} of our Figures 2 to 6, from their CSVs in
+    results/.
+    """
+    sources = dict(
+        fig2=("flat/fig2.csv", "performance"),
+        fig3=("rough/fig3.csv", "performance"),
+        energy=("rough/fig3.csv", "energy"),
+        fig5=("curriculum/fig5.csv", "performance"),
+        power=("curriculum/fig5.csv", "power"),
+        fig6=("velocity/fig6.csv", "v_x"),
+    )
     columns = {}
     for panel, (path, y) in sources.items():
         x = "time" if panel == "fig6" else "v_x_asked"
@@ -77,34 +98,51 @@ def published():
 
 
 def posture(pitch=15.0):
-    """Columns of the robot with its nose up by a pitch [degrees], of its frames, and of a leg and its target."""
+    """Columns of the robot with its nose up by a pitch [degrees], of its frames, and of a leg and
+    its target.
+    """
     turn = Rotation.from_euler("y", -pitch, degrees=True)
     origin, level = np.array([0, 0, 0.33]), Rotation.identity()
     ways = (turn, level, level)
-    poses = [np.concatenate([origin, way.as_quat(scalar_first=True), go1.Q_NOMINAL]) for way in ways]
+    poses = [
+        np.concatenate([origin, way.as_quat(scalar_first=True), go1.Q_NOMINAL]) for way in ways
+    ]
     poses[2][8] += 0.25  # the target of the front right thigh
     columns = dict(origin=origin) | skeleton(poses[0])
     for name, pose in zip(("leg", "target"), poses[1:], strict=True):
-        columns |= {f"{name}_{axis}": (x := skeleton(pose)[f"FR_{axis}"][1:]) - x[0] for axis in "xz"}
+        columns |= {
+            f"{name}_{axis}": (x := skeleton(pose)[f"FR_{axis}"][1:]) - x[0] for axis in "xz"
+        }
     frames = dict(body=turn.as_matrix().T, heading=np.eye(3))
-    return columns | {f"{name}_{axis}": 0.2 * v for name, f in frames.items() for axis, v in zip("xyz", f, strict=True)}
+    return columns | {
+        f"{name}_{axis}": 0.2 * v
+        for name, f in frames.items()
+        for axis, v in zip("xyz", f, strict=True)
+    }
 
 
 def moments(poses, feet):
-    """Columns of four moments of a stride of a third of a second, from where the front right foot lands.
+    """Columns of four moments of a stride of a third of a second, from where the front right foot
+    lands.
 
     poses: (T, 19) of MuJoCo and feet: {leg: (T,)} on the ground, both 200 times a second
     """
     lands = np.argmax(np.diff(feet["FR"]) > 0) + 1
     after = np.array([0, 17, 34, 51])
-    points = {f"at{i}_{name}": x for i, n in enumerate(after) for name, x in skeleton(poses[lands + n]).items()}
+    points = {
+        f"at{i}_{name}": x
+        for i, n in enumerate(after)
+        for name, x in skeleton(poses[lands + n]).items()
+    }
     return dict(moment=0.005 * after) | {name: x for name, x in points.items() if name[-1] != "y"}
 
 
 def skeleton(pose):
-    """Columns {"FR_x": (4,), ...} [m] of the points of each leg, hip joint to foot, in the robot's heading frame.
+    """Columns {"FR_x": (4,), ...} [m] of the points of each leg, hip joint to foot, in the robot's
+    heading frame.
 
-    pose: (19,) of MuJoCo, as qpos of a robot: position [m], quaternion and joint angles [rad] of the trunk
+    pose: (19,) of MuJoCo, as qpos of a robot: position [m], quaternion and joint angles [rad] of
+        the trunk
     """
     hip = pose[7::3]
     aside = go1.HIP_OFFSET * go1.SIDE
@@ -115,7 +153,11 @@ def skeleton(pose):
     yaw = np.arctan2(*trunk.as_matrix()[[1, 0], 0])
     points = (Rotation.from_euler("z", -yaw) * trunk).apply(points.reshape(-1, 3)).reshape(4, 4, 3)
     points[..., 2] += pose[2]
-    return {f"{leg}_{axis}": points[i, :, j] for i, leg in enumerate(go1.LEGS) for j, axis in enumerate("xyz")}
+    return {
+        f"{leg}_{axis}": points[i, :, j]
+        for i, leg in enumerate(go1.LEGS)
+        for j, axis in enumerate("xyz")
+    }
 
 
 # ---- pictures ----
@@ -134,15 +176,26 @@ def panels(n, height=2.9, rows=1):
 def trap(c):
     """Task and energy of the best policy of Eq. (2), over lambda."""
     figure, (left, right) = panels(2)
-    for axes, key, label in ((left, "J", "task J of the answer"), (right, "F", "energy F of the answer")):
+    for axes, key, label in (
+        (left, "J", "task J of the answer"),
+        (right, "F", "energy F of the answer"),
+    ):
         axes.plot(c["lam"], c[key], color=BLUE, label="from theta = 0")
-        axes.plot(c["lam"], c[key + "_from_3"], color=ORANGE, linestyle="--", label="from theta = 3")
+        axes.plot(
+            c["lam"], c[key + "_from_3"], color=ORANGE, linestyle="--", label="from theta = 3"
+        )
         axes.axvspan(0, 0.5, color=GREEN, alpha=0.12)
         axes.set(ylabel=label, xlabel="lambda")
     left.set_ylim(0, 1.1)
     left.text(0.25, 0.1, "keeps\nthe task", ha="center", color=GREEN)
     left.text(1.2, 0.1, "lazy", ha="center", color=RED)
-    right.annotate("wasteful: 9 at lambda = 0", (0.0, 9.0), (0.35, 8.3), arrowprops=dict(arrowstyle="->"), color=RED)
+    right.annotate(
+        "wasteful: 9 at lambda = 0",
+        (0.0, 9.0),
+        (0.35, 8.3),
+        arrowprops=dict(arrowstyle="->"),
+        color=RED,
+    )
     right.legend(loc="center right", frameon=False)
     return figure
 
@@ -155,13 +208,23 @@ def loop(c):
     axes.axis("off")
     n = {key: x[0] for key, x in c.items()}
     boxes = {  # x, y, half a width, text
-        "pi": (0, 4, 0.3, "pi"), "L6": (2.6, 4, 0.8, f"L6 rollout tau\n{n['power']:.0f} W"),
-        "L8": (5.7, 4, 0.9, "L8 estimate\nalpha A_r - A_f"), "L9": (9.0, 4, 0.95, "L9 PPO update"),
-        "L12": (4.2, 2.25, 1.35, f"L12 gap J(pi) - J(pi')\n{n['J']:.3f} - {n['J'] - n['gap']:.3f} = {n['gap']:.3f}"),
-        "L13": (7.0, 2.25, 0.65, "L13 step\nagainst it"), "alpha": (9.3, 2.25, 0.4, f"alpha\n{n['alpha']:.0f}"),
-        "pi'": (0, 0.5, 0.3, "pi'"), "L7": (2.6, 0.5, 0.8, f"L7 rollout tau'\n{n['prime_power']:.0f} W"),
-        "L10": (5.7, 0.5, 0.75, "L10 estimate\nA_r"), "L11": (9.0, 0.5, 1.0, "L11 PPO update"),
-    }  # fmt: skip
+        "pi": (0, 4, 0.3, "pi"),
+        "L6": (2.6, 4, 0.8, f"L6 rollout tau\n{n['power']:.0f} W"),
+        "L8": (5.7, 4, 0.9, "L8 estimate\nalpha A_r - A_f"),
+        "L9": (9.0, 4, 0.95, "L9 PPO update"),
+        "L12": (
+            4.2,
+            2.25,
+            1.35,
+            f"L12 gap J(pi) - J(pi')\n{n['J']:.3f} - {n['J'] - n['gap']:.3f} = {n['gap']:.3f}",
+        ),
+        "L13": (7.0, 2.25, 0.65, "L13 step\nagainst it"),
+        "alpha": (9.3, 2.25, 0.4, f"alpha\n{n['alpha']:.0f}"),
+        "pi'": (0, 0.5, 0.3, "pi'"),
+        "L7": (2.6, 0.5, 0.8, f"L7 rollout tau'\n{n['prime_power']:.0f} W"),
+        "L10": (5.7, 0.5, 0.75, "L10 estimate\nA_r"),
+        "L11": (9.0, 0.5, 1.0, "L11 PPO update"),
+    }
     for x, y, _, text in boxes.values():
         colour = {4: BLUE, 0.5: ORANGE}.get(y, RED)
         box = dict(boxstyle="round,pad=0.4", facecolor="white", edgecolor=colour, linewidth=1.6)
@@ -171,10 +234,19 @@ def loop(c):
         for a, b in pairwise(row.split()):
             (x, y, half, _), (u, _, other, _) = boxes[a], boxes[b]
             axes.annotate("", (u - other, y), (x + half, y), arrowprops=arrow)
-    for start, end in (((5.3, 3.55), (4.6, 2.7)), ((5.3, 0.95), (4.6, 1.8)), ((8.85, 2.6), (6.1, 3.55))):
+    for start, end in (
+        ((5.3, 3.55), (4.6, 2.7)),
+        ((5.3, 0.95), (4.6, 1.8)),
+        ((8.85, 2.6), (6.1, 3.55)),
+    ):
         axes.annotate("", end, start, arrowprops=arrow)
-    notes = ((1.05, 4.12, "acts"), (1.05, 0.62, "acts"), (8.3, 3.15, "weighs the task"), (4.5, 4.4, "trains"),
-             (4.5, -0.45, "trains"))  # fmt: skip
+    notes = (
+        (1.05, 4.12, "acts"),
+        (1.05, 0.62, "acts"),
+        (8.3, 3.15, "weighs the task"),
+        (4.5, 4.4, "trains"),
+        (4.5, -0.45, "trains"),
+    )
     for x, y, text in notes:
         axes.text(x, y, text, ha="center", fontsize=9, color=GREY)
     for y, edge in ((4.57, 4.28), (-0.52, 0.22)):
@@ -184,10 +256,16 @@ def loop(c):
 
 
 def alpha(c):
-    """Algorithm 1 on the toy: alpha and theta, with the kink and without, with momentum and without."""
+    """Algorithm 1 on the toy: alpha and theta, with the kink and without, with momentum and
+    without.
+    """
     figure, (left, right) = panels(2)
-    runs = dict(plain=("no momentum", BLUE), momentum=("momentum 0.99", ORANGE), smooth=("no kink", GREEN),
-                stuck=("pi' is stuck at 0.9", RED))  # fmt: skip
+    runs = dict(
+        plain=("no momentum", BLUE),
+        momentum=("momentum 0.99", ORANGE),
+        smooth=("no kink", GREEN),
+        stuck=("pi' is stuck at 0.9", RED),
+    )
     for run, (label, colour) in runs.items():
         left.plot(c["iteration"], c["alpha_" + run], color=colour, label=label)
         right.plot(c["iteration"], c["theta_" + run], color=colour, label=label)
@@ -212,13 +290,19 @@ def ahead(c):
     power.plot(x, c["power"], color=BLUE, label="pi")
     power.plot(x, c["prime_power"], color=ORANGE, linestyle=":", linewidth=2, label="pi'")
     power.legend(frameon=False)
-    for a, label in ((gap, "gap J(pi) - J(pi')"), (multiplier, "alpha"), (power, "power [W], power clip")):
+    for a, label in (
+        (gap, "gap J(pi) - J(pi')"),
+        (multiplier, "alpha"),
+        (power, "power [W], power clip"),
+    ):
         a.set(xlabel="iteration", ylabel=label)
     return figure
 
 
 def pace(c):
-    """alpha and power of EIPO on the four tasks, with our step of alpha and the paper's; keys are task:run:column."""
+    """alpha and power of EIPO on the four tasks, with our step of alpha and the paper's; keys are
+    task:run:column.
+    """
     figure, axes = panels(4, 4.4, rows=2)
     styles = dict(ours=dict(color=BLUE), printed=dict(color=GREY, linestyle="--"))
     for i, task in enumerate(dict.fromkeys(key.split(":")[0] for key in c)):
@@ -227,7 +311,12 @@ def pace(c):
             if (name := f"{task}:{run}:steps") not in c:
                 continue
             x = c[name] / 1e6
-            top.plot(x, c[f"{task}:{run}:alpha"], label=dict(ours="our step", printed="the paper's")[run], **style)
+            top.plot(
+                x,
+                c[f"{task}:{run}:alpha"],
+                label=dict(ours="our step", printed="the paper's")[run],
+                **style,
+            )
             bottom.plot(x, c[f"{task}:{run}:power"], label=f"pi, {run}", **style)
         x = c[f"{task}:ours:steps"] / 1e6
         bottom.plot(x, c[f"{task}:ours:prime_power"], color=ORANGE, linestyle=":", linewidth=2)
@@ -244,7 +333,9 @@ def pace(c):
 
 
 def escape(c):
-    """How standing is left: the speed of runs that stood, on a logarithmic axis, and its rate over alpha."""
+    """How standing is left: the speed of runs that stood, on a logarithmic axis, and its rate over
+    alpha.
+    """
     figure, (left, right) = panels(2, 3.0)
     for key, colour in zip([key for key in c if key.endswith(":v_x")], COLOURS, strict=False):
         run = key.removesuffix(":v_x")
@@ -255,17 +346,31 @@ def escape(c):
     right.plot(c["alpha"], c["rate"], "o", color=BLUE)
     right.plot(c["stands"], 0 * c["stands"], "x", color=RED)
     right.text(50, 0.6, "stand", color=RED, fontsize=9)
-    right.set(xlabel="alpha while the speed grows", ylabel="growth of ln v_x in 100 iterations", xscale="log")
+    right.set(
+        xlabel="alpha while the speed grows",
+        ylabel="growth of ln v_x in 100 iterations",
+        xscale="log",
+    )
     return figure
 
 
 def reward(c):
     """The four task rewards over the forward velocity, for a command of 0.5 m/s."""
     figure, (axes,) = panels(1, 2.7)
-    names = dict(flat=("Eq. 5, flat", BLUE), rough=("Eq. 6, rough", ORANGE), curriculum=("Eq. 8, curriculum", GREEN),
-                 max_velocity=("Eq. 7, velocity", RED))  # fmt: skip
+    names = dict(
+        flat=("Eq. 5, flat", BLUE),
+        rough=("Eq. 6, rough", ORANGE),
+        curriculum=("Eq. 8, curriculum", GREEN),
+        max_velocity=("Eq. 7, velocity", RED),
+    )
     for key, (label, colour) in names.items():
-        axes.plot(c["v_x"], c[key], color=colour, label=label, linestyle="--" if key == "curriculum" else "-")
+        axes.plot(
+            c["v_x"],
+            c[key],
+            color=colour,
+            label=label,
+            linestyle="--" if key == "curriculum" else "-",
+        )
     axes.axvline(0.5, color=GREY, linestyle=":")
     axes.text(0.52, -0.45, "command", color=GREY)
     axes.set(xlabel="v_x [m/s]", ylabel="reward per step", ylim=(-0.55, 2.05))
@@ -274,7 +379,9 @@ def reward(c):
 
 
 def ground(c):
-    """The ground of the rough task from above, all of its tiles; and its roughest and velocity's along a line."""
+    """The ground of the rough task from above, all of its tiles; and its roughest and velocity's
+    along a line.
+    """
     heights = np.stack([c[key] for key in c if key.startswith("row")]) * 100
     figure = Figure(figsize=(8, 3.4), layout="constrained")
     top, below = figure.subplots(2, 1, height_ratios=(1, 2.2))
@@ -282,8 +389,10 @@ def ground(c):
     image = top.imshow(heights, origin="lower", extent=(0, 96, 0, 6), **style)
     figure.colorbar(image, label="height [cm]")
     top.set(xlabel="x [m], 6 m for each of the 16 tiles, from 0 to 15 cm", ylabel="y [m]")
-    for key, colour, label in (("rough", BLUE, "rough: 15 cm, 1 cell per metre"),
-                               ("velocity", ORANGE, "velocity: 5 cm, 4 cells per metre")):  # fmt: skip
+    for key, colour, label in (
+        ("rough", BLUE, "rough: 15 cm, 1 cell per metre"),
+        ("velocity", ORANGE, "velocity: 5 cm, 4 cells per metre"),
+    ):
         below.plot(c["x"], c[key] * 100, color=colour, label=label)
     below.set(xlabel="x [m], along the middle of the last tile", ylabel="height [cm]", ylim=(-7, 8))
     below.grid(alpha=0.3)
@@ -297,7 +406,9 @@ def commands(c):
     figure = Figure(figsize=(8, 2.7), layout="constrained")
     for axes, (key, weights) in zip(figure.subplots(1, 3, sharey=True), c.items(), strict=True):
         shape = weights.reshape(22, 40)
-        image = axes.imshow(shape, origin="lower", extent=(-10, 10, -1, 10), aspect="auto", vmin=0, vmax=1)
+        image = axes.imshow(
+            shape, origin="lower", extent=(-10, 10, -1, 10), aspect="auto", vmin=0, vmax=1
+        )
         axes.set(title=f"after {key[6:]}: {weights.mean():.1%} of cells", xlabel="yaw rate [rad/s]")
         axes.title.set_fontsize(10)
     figure.axes[0].set_ylabel("v_x [m/s]")
@@ -308,11 +419,21 @@ def commands(c):
 def stick(axes, c, prefix, shift=0.0):
     """Draw a skeleton from the side, far legs first and thinner."""
     hips = np.array([[c[f"{prefix}{leg}_{axis}"][0] for axis in "xz"] for leg in go1.LEGS])
-    axes.plot(*(hips[[0, 2]] + [shift, 0]).T, color="black", linewidth=9, solid_capstyle="round", zorder=2)
+    axes.plot(
+        *(hips[[0, 2]] + [shift, 0]).T, color="black", linewidth=9, solid_capstyle="round", zorder=2
+    )
     for leg, colour in zip(go1.LEGS, LEGS, strict=True):
         near = leg in ("FR", "RR")
         x, z = c[f"{prefix}{leg}_x"][1:] + shift, c[f"{prefix}{leg}_z"][1:]
-        axes.plot(x, z, "o-", color=colour, linewidth=3 if near else 2, markersize=4, zorder=3 if near else 1)
+        axes.plot(
+            x,
+            z,
+            "o-",
+            color=colour,
+            linewidth=3 if near else 2,
+            markersize=4,
+            zorder=3 if near else 1,
+        )
 
 
 def hop(c):
@@ -323,8 +444,12 @@ def hop(c):
         stick(top, c, f"at{i}_", shift=0.75 * i)
         top.text(0.75 * i, 0.48, f"{1000 * c['moment'][i]:.0f} ms", ha="center", fontsize=9)
     top.axhline(0, color=GREY)
-    top.set(xlabel="x [m], ahead is to the right; each moment is drawn 0.75 m further on", ylabel="height [m]",
-            aspect="equal", ylim=(-0.03, 0.55))  # fmt: skip
+    top.set(
+        xlabel="x [m], ahead is to the right; each moment is drawn 0.75 m further on",
+        ylabel="height [m]",
+        aspect="equal",
+        ylim=(-0.03, 0.55),
+    )
     footfalls(below, c)
     return figure
 
@@ -332,9 +457,22 @@ def hop(c):
 def footfalls(axes, c):
     """Bars for the feet that are on the ground, over time."""
     for i, (leg, colour) in enumerate(zip(go1.LEGS, LEGS, strict=True)):
-        axes.fill_between(c["time"], -i - 0.38, -i + 0.38, where=c[leg] > 0, step="post", color=colour, linewidth=0)
-    axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, xlabel="time [s]", xlim=(0, c["time"][-1]),
-             ylabel="on the ground")  # fmt: skip
+        axes.fill_between(
+            c["time"],
+            -i - 0.38,
+            -i + 0.38,
+            where=c[leg] > 0,
+            step="post",
+            color=colour,
+            linewidth=0,
+        )
+    axes.set(
+        yticks=-np.arange(4),
+        yticklabels=go1.LEGS,
+        xlabel="time [s]",
+        xlim=(0, c["time"][-1]),
+        ylabel="on the ground",
+    )
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -346,31 +484,67 @@ def leap(c):
 
 
 def robot(c):
-    """The robot with its joints and two frames; and one leg with its angles, and where its springs pull it."""
+    """The robot with its joints and two frames; and one leg with its angles, and where its springs
+    pull it.
+    """
     figure = Figure(figsize=(8, 3.9), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.55, 1))
-    across = np.array([[0.88, 0.45, 0.0], [-0.12, 0.34, 0.93]])  # how the page's two axes look at x, y, z
+    # how the page's two axes look at x, y, z
+    across = np.array([[0.88, 0.45, 0.0], [-0.12, 0.34, 0.93]])
 
     def put(*xyz):
         return across @ np.array(xyz)
 
-    points = {leg: np.stack([put(*p) for p in zip(*(c[f"{leg}_{axis}"] for axis in "xyz"), strict=True)])
-              for leg in go1.LEGS}  # fmt: skip
+    points = {
+        leg: np.stack([put(*p) for p in zip(*(c[f"{leg}_{axis}"] for axis in "xyz"), strict=True)])
+        for leg in go1.LEGS
+    }
     hips = np.array([points[leg][0] for leg in ("FR", "FL", "RL", "RR", "FR")])
     left.fill(*hips.T, color="0.85", zorder=1)
     left.plot(*hips.T, color="black", linewidth=2, zorder=1)
     for leg, colour in zip(go1.LEGS, LEGS, strict=True):
-        left.plot(*points[leg].T, "o-", color=colour, linewidth=4, markersize=6, markerfacecolor="white", zorder=2)
+        left.plot(
+            *points[leg].T,
+            "o-",
+            color=colour,
+            linewidth=4,
+            markersize=6,
+            markerfacecolor="white",
+            zorder=2,
+        )
         left.text(*(points[leg][-1] - [0.02, 0.045]), leg, color=colour, ha="center", weight="bold")
     for i, name in enumerate(("hip", "thigh", "calf", "foot")):
-        left.annotate(name, points["FR"][i], points["FR"][i] + [0.1, (0.12, 0.0, 0.0, 0.0)[i]],
-                      arrowprops=dict(arrowstyle="-", color=GREY), fontsize=9, va="center")  # fmt: skip
-    for prefix, colour, name in (("body", GREEN, "trunk's frame"), ("heading", "#cc79a7", "heading frame")):
+        left.annotate(
+            name,
+            points["FR"][i],
+            points["FR"][i] + [0.1, (0.12, 0.0, 0.0, 0.0)[i]],
+            arrowprops=dict(arrowstyle="-", color=GREY),
+            fontsize=9,
+            va="center",
+        )
+    for prefix, colour, name in (
+        ("body", GREEN, "trunk's frame"),
+        ("heading", "#cc79a7", "heading frame"),
+    ):
         start = put(*c["origin"]) if prefix == "body" else put(-0.06, 0.0, 0.0)
         for axis in "xyz":
             end = start + across @ c[f"{prefix}_{axis}"]
-            left.annotate("", end, start, arrowprops=dict(arrowstyle="-|>", color=colour, linewidth=1.8), zorder=4)
-            left.text(end[0] - 0.01, end[1] + 0.02, axis, color=colour, fontsize=10, weight="bold", zorder=6)
+            left.annotate(
+                "",
+                end,
+                start,
+                arrowprops=dict(arrowstyle="-|>", color=colour, linewidth=1.8),
+                zorder=4,
+            )
+            left.text(
+                end[0] - 0.01,
+                end[1] + 0.02,
+                axis,
+                color=colour,
+                fontsize=10,
+                weight="bold",
+                zorder=6,
+            )
         x, y = start + np.array([-0.13, 0.16] if prefix == "body" else [0.0, -0.02])
         left.text(x, y, name, color=colour, fontsize=9, ha="center", va="top", zorder=4)
     left.set(aspect="equal", ylim=(-0.1, 0.57))
@@ -381,11 +555,26 @@ def robot(c):
     right.plot([x, x], [z, z - 0.16], ":", color="black")
     right.plot([u, u + (u - x) * 0.6], [v, v + (v - z) * 0.6], ":", color="black")
     right.text(x + 0.012, z - 0.15, "thigh 0.8 rad from\nstraight down", fontsize=9)
-    right.text(u - 0.1, v - 0.1, "calf -1.5 rad from\nthe thigh's line", fontsize=9, ha="center", va="top")
-    right.text(-0.08, -0.345, "grey: where the springs pull\nif the thigh's target is 0.25 rad more", fontsize=9,
-               color=GREY, va="top", ha="center")  # fmt: skip
-    right.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", title="front right leg, from its right side",
-              xlim=(-0.38, 0.2), ylim=(-0.42, 0.04))  # fmt: skip
+    right.text(
+        u - 0.1, v - 0.1, "calf -1.5 rad from\nthe thigh's line", fontsize=9, ha="center", va="top"
+    )
+    right.text(
+        -0.08,
+        -0.345,
+        "grey: where the springs pull\nif the thigh's target is 0.25 rad more",
+        fontsize=9,
+        color=GREY,
+        va="top",
+        ha="center",
+    )
+    right.set(
+        aspect="equal",
+        xlabel="x [m]",
+        ylabel="z [m]",
+        title="front right leg, from its right side",
+        xlim=(-0.38, 0.2),
+        ylim=(-0.42, 0.04),
+    )
     right.spines[["top", "right"]].set_visible(False)
     return figure
 
@@ -406,11 +595,17 @@ def motor(c):
 
 
 def lines(axes, c, column):
-    """A line for each run over environment steps, and a dotted one for pi'; keys of c are run:column."""
-    for run, colour in zip(dict.fromkeys(key.split(":")[0] for key in c if ":" in key), COLOURS, strict=False):
+    """A line for each run over environment steps, and a dotted one for pi'; keys of c are
+    run:column.
+    """
+    for run, colour in zip(
+        dict.fromkeys(key.split(":")[0] for key in c if ":" in key), COLOURS, strict=False
+    ):
         for name, style, label in ((column, "-", run), (f"prime_{column}", ":", f"{run}, pi'")):
             if f"{run}:{name}" in c:
-                axes.plot(c[f"{run}:steps"] / 1e6, c[f"{run}:{name}"], style, color=colour, label=label)
+                axes.plot(
+                    c[f"{run}:steps"] / 1e6, c[f"{run}:{name}"], style, color=colour, label=label
+                )
     axes.set_xlabel("million environment steps")
 
 
@@ -419,16 +614,31 @@ def mirror(c):
     figure, (axes,) = panels(1, 2.7)
     lines(axes, c, "reward")
     axes.axhline(c["standing"][0], color=GREY, linewidth=0.8)
-    axes.text(2.5, c["standing"][0] - 0.015, "standing still", color=GREY, fontsize=9, ha="right", va="top")
+    axes.text(
+        2.5,
+        c["standing"][0] - 0.015,
+        "standing still",
+        color=GREY,
+        fontsize=9,
+        ha="right",
+        va="top",
+    )
     axes.set(ylabel="task reward per step, Eq. (5)")
     axes.legend(frameon=False, ncols=2, loc="lower right")
     return figure
 
 
 def runs(c):
-    """Our runs on flat ground: task reward, power, alpha and gap over environment steps; keys are run:column."""
+    """Our runs on flat ground: task reward, power, alpha and gap over environment steps; keys are
+    run:column.
+    """
     figure, axes = panels(2, 4.8, rows=2)
-    labels = dict(reward="task reward per step", power="power [W], power clip", alpha="alpha", gap="gap J(pi) - J(pi')")
+    labels = dict(
+        reward="task reward per step",
+        power="power [W], power clip",
+        alpha="alpha",
+        gap="gap J(pi) - J(pi')",
+    )
     for a, (name, label) in zip(axes, labels.items(), strict=True):
         lines(a, c, name)
         a.set_ylabel(label)
@@ -440,8 +650,14 @@ def runs(c):
 def paper(c):
     """Our Figures 2 to 6: a line for each run; keys are panel:run:axis."""
     figure, axes = panels(3, 4.9, rows=2)
-    labels = dict(fig2="Fig. 2: reward, flat", fig3="Fig. 3: reward, rough", energy="Fig. 3: energy [J/m], rough",
-                  fig5="Fig. 5: reward, Eq. (8)", power="Fig. 5: power [W]", fig6="Fig. 6: v_x [m/s]")  # fmt: skip
+    labels = dict(
+        fig2="Fig. 2: reward, flat",
+        fig3="Fig. 3: reward, rough",
+        energy="Fig. 3: energy [J/m], rough",
+        fig5="Fig. 5: reward, Eq. (8)",
+        power="Fig. 5: power [W]",
+        fig6="Fig. 6: v_x [m/s]",
+    )
     runs = list(dict.fromkeys(key.split(":")[1] for key in c))
     colours = dict(zip(runs, COLOURS, strict=False))
     for (panel, label), a in zip(labels.items(), axes, strict=True):
@@ -450,7 +666,11 @@ def paper(c):
                 a.plot(c[f"{panel}:{run}:x"], c[f"{panel}:{run}:y"], color=colours[run], label=run)
         a.set(xlabel="time [s]" if panel == "fig6" else "command v_x [m/s]", ylabel=label)
     axes[2].set_yscale("log")
-    handles = {label: line for a in axes for line, label in zip(*a.get_legend_handles_labels(), strict=True)}
+    handles = {
+        label: line
+        for a in axes
+        for line, label in zip(*a.get_legend_handles_labels(), strict=True)
+    }
     style = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     figure.legend(handles.values(), handles.keys(), **style)
     return figure
@@ -459,15 +679,41 @@ def paper(c):
 def readings(c):
     """Speed and power over environment steps of runs of one task; keys are run:column."""
     figure, (left, right) = panels(2, 3.1)
-    for axes, name, label in ((left, "v_x", "v_x of the batch [m/s]"), (right, "power", "power [W]")):
+    for axes, name, label in (
+        (left, "v_x", "v_x of the batch [m/s]"),
+        (right, "power", "power [W]"),
+    ):
         lines(axes, c, name)
         axes.set_ylabel(label)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(
+        *left.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=9,
+    )
     return figure
 
 
 FIGURES = {
     f.__name__: f
-    for f in (trap, loop, alpha, ahead, pace, escape, reward, ground, commands, hop, leap, robot, motor, mirror, runs,
-              paper, readings)
-}  # fmt: skip
+    for f in (
+        trap,
+        loop,
+        alpha,
+        ahead,
+        pace,
+        escape,
+        reward,
+        ground,
+        commands,
+        hop,
+        leap,
+        robot,
+        motor,
+        mirror,
+        runs,
+        paper,
+        readings,
+    )
+}

@@ -1,8 +1,10 @@
-"""The paper as tests, a file for each of its sections. Read them beside it, in the order of their numbers:
+"""The paper as tests, a file for each of its sections. Read them beside it, in the order of their
+numbers:
 
     1 objective    Sections II and III: Eqs. (1) to (4), Eq. (10), GAE, and the step on alpha
     2 algorithm1   Section III: Algorithm 1 whole, on a robot of one number and on probes
-    3 rewards      Section IV-A: Eqs. (5) to (8), the velocity that they mean (D25), and the shaped baseline of V-E
+    3 rewards      Section IV-A: Eqs. (5) to (8), the velocity that they mean (D25), and the shaped
+                   baseline of V-E
     4 terrain      Sections IV-A.2 and 3: Perlin noise and the ground made of it
     5 curriculum   Section IV-A.4: which commands the robot is ready for
     6 energy       Section IV-B: Eqs. (9) and (11), and work as physics has it (D17)
@@ -10,6 +12,7 @@
     8 motors       Sections IV-C.a, IV-A.4 and V-D: the PD controller and its limits
     9 metrics      Sections IV-D and V: episodes and statistics
 
-Numbers are chosen so that a line of arithmetic gives the answer, and the docstring of a test does it. Where they are
-dyadic, floating-point arithmetic is exact and `==` is meant. What the paper does not say is tested one folder above.
+Numbers are chosen so that a line of arithmetic gives the answer, and the docstring of a test does
+it. Where they are dyadic, floating-point arithmetic is exact and `==` is meant. What the paper does
+not say is tested one folder above.
 """

@@ -1,7 +1,8 @@
-"""Section III: Algorithm 1 as a whole. Its rollouts, lines, two policies and multiplier; a toy; probes.
+"""Section III: Algorithm 1 as a whole. Its rollouts, lines, two policies and multiplier; a toy;
+probes.
 
-The toy has a known answer. The probes, after Andy Jones, are environments so small that the right answer is plain: one
-that fails says which part is broken.
+The toy has a known answer. The probes, after Andy Jones, are environments so small that the right
+answer is plain: one that fails says which part is broken.
 """
 
 import inspect
@@ -22,13 +23,16 @@ policy = jax.jit(networks.policy)
 
 
 class Probe:
-    """16 environments with episodes of `length` steps. One sees x, drawn from -1 and 1, and t; x + t is privileged.
+    """16 environments with episodes of `length` steps. One sees x, drawn from -1 and 1, and t; x +
+    t is privileged.
 
-    reward, cost: functions of x, t and the action, each (16,). truncates: whether episodes end by a time limit. The
-    final observation of such an episode shows x and length - 1. `diary` holds what was seen and done, `seeds` resets.
+    reward, cost: functions of x, t and the action, each (16,). truncates: whether episodes end by a
+        time limit. The
+    final observation of such an episode shows x and length - 1. `diary` holds what was seen and
+    done, `seeds` resets.
     """
 
-    num_envs, obs_size, privileged_size, action_size = 16, (2, 0), (1, 0), (1, 0)
+    num_envs, obs_size, privileged_size, action_size, mirror = 16, 2, 1, 1, None
 
     def __init__(self, reward, cost=lambda x, t, a: 0 * x, length=1, truncates=False):
         self.reward, self.cost, self.length, self.truncates = reward, cost, length, truncates
@@ -42,7 +46,9 @@ class Probe:
         return obs, dict(privileged=privileged)
 
     def look(self):
-        return np.stack([self.x, self.t], -1).astype(np.float32), (self.x + self.t)[:, None].astype(np.float32)
+        return np.stack([self.x, self.t], -1).astype(np.float32), (self.x + self.t)[:, None].astype(
+            np.float32
+        )
 
     def step(self, action):
         self.diary.append((self.look()[0], action))
@@ -54,8 +60,13 @@ class Probe:
         self.t = np.where(ended, 0.0, self.t)
         obs, privileged = self.look()
         log = dict(action=now[2], ended=ended)
-        info = dict(cost=self.cost(*now), privileged=privileged, final_obs=final_obs,
-                    final_privileged=final_privileged, log=log)  # fmt: skip
+        info = dict(
+            cost=self.cost(*now),
+            privileged=privileged,
+            final_obs=final_obs,
+            final_privileged=final_privileged,
+            log=log,
+        )
         return obs, self.reward(*now), ended & (not self.truncates), ended & self.truncates, info
 
 
@@ -72,9 +83,13 @@ def effort(x, t, a):
 
 
 def run(env, env_prime, cfg=EIPO, iterations=2, state=None, **options):
-    """[(State, metrics)] before the first and after every iteration. Without env_prime it is PPO on r - lam f."""
+    """[(State, metrics)] before the first and after every iteration. Without env_prime it is PPO on
+    r - lam f.
+    """
     state = state or eipo.init_state(env, env_prime, cfg)
-    steps = eipo.eipo(env, env_prime, cfg, state, **options) if env_prime else eipo.ppo(env, cfg, state)
+    steps = (
+        eipo.eipo(env, env_prime, cfg, state, **options) if env_prime else eipo.ppo(env, cfg, state)
+    )
     return [(state, {}), *islice(steps, iterations)]
 
 
@@ -82,7 +97,8 @@ def run(env, env_prime, cfg=EIPO, iterations=2, state=None, **options):
 
 
 def known(heads):
-    """Parameters with mean action 0, std 1 and values 3 t, and 6 t where there are two heads, of what a Probe shows.
+    """Parameters with mean action 0, std 1 and values 3 t, and 6 t where there are two heads, of
+    what a Probe shows.
 
     3 t = -x + 2 t + (x + t), of which x + t is privileged.
     """
@@ -98,16 +114,23 @@ def roll(env, params, **changes):
 
 
 def test_rollout_bootstraps_from_the_final_observation():
-    """Episodes of 1, 2 and 3 steps, cut by a time limit; the final observation is (x, length - 1). gamma = 1/2, r = 0.
+    """Episodes of 1, 2 and 3 steps, cut by a time limit; the final observation is (x, length - 1).
+    gamma = 1/2, r = 0.
 
-    V = (3 t, 6 t). The one-step errors of the first value, with gae_lambda = 0, by where the three steps lead:
+    V = (3 t, 6 t). The one-step errors of the first value, with gae_lambda = 0, by where the three
+    steps lead:
     length 1: to the final observation, 0 + 0/2 - 0 = 0, three times
-    length 2: to t = 1, 0 + 3/2 - 0 = 3/2; final, 0 + 3/2 - 3 = -3/2 (the next episode's first would give -3); 3/2
+    length 2: to t = 1, 0 + 3/2 - 0 = 3/2; final, 0 + 3/2 - 3 = -3/2 (the next episode's first would
+        give -3); 3/2
     length 3: to t = 1, 3/2; to t = 2, 6/2 - 3 = 0; final, 6/2 - 6 = -3
     """
     probe = Probe(lambda x, t, a: 0 * x, length=1 + np.arange(16) % 3, truncates=True)
     tau, at, log, cfg = roll(probe, known(2), gae_lambda=0.0)
-    assert tau.truncated[:, :3].tolist() == [[True, False, False], [True, True, False], [True, False, True]]
+    assert tau.truncated[:, :3].tolist() == [
+        [True, False, False],
+        [True, True, False],
+        [True, False, True],
+    ]
     assert not tau.terminated.any() and tau.final[0].shape == (32, 2)  # 6, 11 and 11 robots, padded
     first = np.array([[0, 1.5, 1.5], [0, -1.5, 0], [0, 1.5, -3]])[:, np.arange(16) % 3]
     advantage = np.asarray(eipo.estimate(known(2), tau, cfg).advantage)
@@ -124,7 +147,9 @@ def test_rollout_a_fall_has_no_final_observation():
 
 
 def test_rollout_streams_are_of_comparable_size():
-    """D6, D10. Standing: r = 1, f = -126 W. In training 0.02 * 1 = 0.02 and 0.02 * 0.005 * -126 = -0.0126 a step."""
+    """D6, D10. Standing: r = 1, f = -126 W. In training 0.02 * 1 = 0.02 and 0.02 * 0.005 * -126 =
+    -0.0126 a step.
+    """
     env, scales = Probe(one, cost=lambda x, t, a: -126 + 0 * x), dict(reward_scale=0.02, lam=0.005)
     tau, _, log, _ = roll(env, known(2), **scales)
     assert tau.reward.shape == (3, 16, 2) and log["cost"] == -126
@@ -133,7 +158,9 @@ def test_rollout_streams_are_of_comparable_size():
 
 
 def test_rollout_noise_is_fresh_at_every_step():
-    """With mean 0 and std 1 the actions are the noise: 3 steps of 16 robots are 48 different numbers."""
+    """With mean 0 and std 1 the actions are the noise: 3 steps of 16 robots are 48 different
+    numbers.
+    """
     assert np.unique(roll(Probe(one), known(2))[0].action).size == 48
 
 
@@ -167,8 +194,12 @@ def test_algorithm1_same_seed_same_bits(with_effort):
 
 
 def test_algorithm1_other_seed_other_start(monkeypatch):
-    """Seeds 0 and 1, pi and pi_prime: the networks have four different keys, the environments four different seeds."""
-    monkeypatch.setattr(eipo, "init_learner", lambda key, *_: tuple(jax.random.key_data(key).tolist()))
+    """Seeds 0 and 1, pi and pi_prime: the networks have four different keys, the environments four
+    different seeds.
+    """
+    monkeypatch.setattr(
+        eipo, "init_learner", lambda key, *_: tuple(jax.random.key_data(key).tolist())
+    )
     keys, envs = [], []
     for seed in (0, 1):
         env, env_prime = Probe(one), Probe(one)
@@ -179,7 +210,9 @@ def test_algorithm1_other_seed_other_start(monkeypatch):
 
 
 def test_algorithm1_policies_share_no_luck(with_effort):
-    """Line 3 initialises two policies. 2 policies x 2 iterations x 8 steps x 16 robots: all their noise differs."""
+    """Line 3 initialises two policies. 2 policies x 2 iterations x 8 steps x 16 robots: all their
+    noise differs.
+    """
     states, env, env_prime = with_effort
     start = states[0][0]
     assert not trees_equal(start.pi.params["actor"], start.pi_prime.params["actor"])
@@ -211,11 +244,15 @@ def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha(with_effort):
     (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
     assert end.pi_prime is None and end.start_prime is None
     assert start.dual == end.dual == Dual(0.25, 0)
-    assert set(metrics) == {name for name in with_effort[0][2][1] if name != "gap" and not name.startswith("prime_")}
+    assert set(metrics) == {
+        name for name in with_effort[0][2][1] if name != "gap" and not name.startswith("prime_")
+    }
 
 
 def test_algorithm1_ends_after_its_iterations():
-    """Line 14. From two, one and no iterations before the last, EIPO and PPO go through two, one and none."""
+    """Line 14. From two, one and no iterations before the last, EIPO and PPO go through two, one
+    and none.
+    """
     env, env_prime = Probe(one), Probe(one)
     start, end = eipo.init_state(env, env_prime, EIPO), EIPO.iterations
     for left in range(3):
@@ -225,7 +262,9 @@ def test_algorithm1_ends_after_its_iterations():
 
 
 def test_algorithm1_eipo_starts_as_ppo(with_effort):
-    """D6: alpha_0 = 1 / lam, so the first update of pi is PPO's at that lam, bit by bit. All are, if alpha is held."""
+    """D6: alpha_0 = 1 / lam, so the first update of pi is PPO's at that lam, bit by bit. All are,
+    if alpha is held.
+    """
     states, _, _ = with_effort
     ppo = run(Probe(near_half, effort), None)
     assert trees_equal(ppo[1][0].pi, states[1][0].pi)
@@ -246,7 +285,9 @@ def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
 
 
 def test_algorithm1_another_key_is_other_luck(with_effort):
-    """A process is given a key of its own in the State: its exploration and minibatches differ from the start on."""
+    """A process is given a key of its own in the State: its exploration and minibatches differ from
+    the start on.
+    """
     start = eipo.init_state(Probe(one), Probe(one), EIPO)
     others = start.key, jax.random.fold_in(start.key, 1)
     assert len({tuple(key.tolist()) for own in others for key in eipo.iteration_keys(own, 1)}) == 8
@@ -258,13 +299,19 @@ def test_algorithm1_another_key_is_other_luck(with_effort):
 
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
 def test_algorithm1_learns_in_every_branch(algo, lam):
-    """One iteration moves every network, and skips no minibatch; without energy an infinite alpha is no 0 * inf."""
+    """One iteration moves every network, and skips no minibatch; without energy an infinite alpha
+    is no 0 * inf.
+    """
     cfg = replace(EIPO, lam=lam)
-    (start, _), (end, log) = run(Probe(near_half, effort), Probe(near_half, effort) if algo == "eipo" else None, cfg, 1)
+    (start, _), (end, log) = run(
+        Probe(near_half, effort), Probe(near_half, effort) if algo == "eipo" else None, cfg, 1
+    )
     for name in ("pi", "pi_prime") if algo == "eipo" else ("pi",):
         before, after = getattr(start, name).params, getattr(end, name).params
         moved = jax.tree.map(lambda a, b: bool((a != b).any()) or a.size == 0, before, after)
-        assert jax.tree.all(moved) and log["prime_skipped" if name == "pi_prime" else "skipped"] == 0
+        assert (
+            jax.tree.all(moved) and log["prime_skipped" if name == "pi_prime" else "skipped"] == 0
+        )
 
 
 def test_algorithm1_at_alpha_zero_pi_knows_the_cost_alone():
@@ -279,7 +326,9 @@ def test_algorithm1_at_alpha_zero_pi_knows_the_cost_alone():
 
 
 def test_algorithm1_line_13_gets_the_gap_and_line_9_its_alpha(with_effort, monkeypatch):
-    """pi earns 1 a step, pi_prime 3: the gap is far below 0. What line 13 returns is what the next line 9 uses."""
+    """pi earns 1 a step, pi_prime 3: the gap is far below 0. What line 13 returns is what the next
+    line 9 uses.
+    """
     gaps = []
 
     def jump(dual, gap, cfg):
@@ -305,7 +354,9 @@ def test_algorithm1_steps_both_policies(with_effort):
 
 
 def test_algorithm1_resumes_with_the_same_bits(with_effort):
-    """Stopped after the first iteration and continued, with the environments as they were: they are not reset."""
+    """Stopped after the first iteration and continued, with the environments as they were: they are
+    not reset.
+    """
     states, _, _ = with_effort
     envs = Probe(near_half, effort), Probe(near_half, effort)
     first, _ = run(*envs, iterations=1)[1]
@@ -319,7 +370,9 @@ def test_algorithm1_resumes_with_the_same_bits(with_effort):
 
 
 class Faulty(Probe):
-    """A Probe whose robot 5 has a `value` that is no number in the place of a `name`, once or at every step after."""
+    """A Probe whose robot 5 has a `value` that is no number in the place of a `name`, once or at
+    every step after.
+    """
 
     def __init__(self, name, value, step=3, always=False, **fields):
         super().__init__(near_half, effort, **fields)
@@ -328,13 +381,17 @@ class Faulty(Probe):
     def step(self, action):
         obs, reward, terminated, truncated, info = super().step(action)
         if len(self.diary) == self.step_of_fault or self.always:
-            dict(obs=obs, reward=reward, **info)[self.name][slice(None) if self.always else 5] = self.value
+            dict(obs=obs, reward=reward, **info)[self.name][slice(None) if self.always else 5] = (
+                self.value
+            )
         return obs, reward, terminated, truncated, info
 
 
 @pytest.mark.parametrize("algo", ["eipo", "ppo"])
 def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
-    """Two iterations of rewards that are no number: 2 x 4 x 2 minibatches are skipped, and alpha stays where it is."""
+    """Two iterations of rewards that are no number: 2 x 4 x 2 minibatches are skipped, and alpha
+    stays where it is.
+    """
     env, env_prime = Faulty("reward", np.nan, always=True), Probe(near_half, effort)
     (start, _), _, (end, log) = run(env, env_prime if algo == "eipo" else None)
     assert log["skipped"] == end.pi.opt_state.notfinite_count == 2 * 4 * 2
@@ -345,9 +402,11 @@ def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
 
 
 def toy(J, climb, cfg, iterations):
-    """Lines 5 to 14 on one number, with the shipped line 13. returns alphas and thetas, one per iteration.
+    """Lines 5 to 14 on one number, with the shipped line 13. returns alphas and thetas, one per
+    iteration.
 
-    climb(theta, alpha, weight): a step up on alpha J - weight F; pi has weight 1, pi_prime climbs J alone
+    climb(theta, alpha, weight): a step up on alpha J - weight F; pi has weight 1, pi_prime climbs J
+    alone
     """
     theta, theta_prime, dual, history = 0.0, 0.0, Dual(0.2, 0.0), []
     for _ in range(iterations):
@@ -358,12 +417,16 @@ def toy(J, climb, cfg, iterations):
 
 
 def capped(theta):
-    """J: faster than the command of 1 earns no more, as in Eq. (5), which has no kink there, however."""
+    """J: faster than the command of 1 earns no more, as in Eq. (5), which has no kink there,
+    however.
+    """
     return min(theta, 1.0)
 
 
 def climb_capped(theta, alpha, weight, lr=0.05):
-    """The step down on F, then the one up on alpha J, which ends at the kink (a proximal gradient step)."""
+    """The step down on F, then the one up on alpha J, which ends at the kink (a proximal gradient
+    step).
+    """
     theta -= lr * weight * 2 * theta
     return max(theta, min(theta + lr * alpha, 1.0))
 
@@ -379,7 +442,9 @@ def climb_smooth(theta, alpha, weight, lr=0.02):
 
 
 def test_eq03_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
-    """argmax alpha J - F = min(alpha / 2, 1), and pi_prime has J' = 1: from below, alpha stops at 2, theta at 1."""
+    """argmax alpha J - F = min(alpha / 2, 1), and pi_prime has J' = 1: from below, alpha stops at
+    2, theta at 1.
+    """
     alpha, theta = toy(capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.0), 2000)
     assert alpha[-1] == pytest.approx(2, abs=1e-3)
     assert theta[-1] == pytest.approx(1, abs=1e-3)
@@ -387,15 +452,20 @@ def test_eq03_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
 
 
 def test_algorithm1_toy_momentum_overshoots_and_stays():
-    """The momentum carries alpha past 2; with J = J' there the gradient is 0, and nothing pulls it down again."""
-    alpha, theta = toy(capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.99), 6000)
+    """The momentum carries alpha past 2; with J = J' there the gradient is 0, and nothing pulls it
+    down again.
+    """
+    alpha, theta = toy(
+        capped, climb_capped, replace(EIPO, lr_alpha=0.02, momentum_alpha=0.99), 6000
+    )
     assert alpha[-1] > 2.5
     assert alpha[-1000] == alpha[-1]
     assert theta[-1] == 1
 
 
 def test_algorithm1_toy_alpha_grows_without_bound_where_the_task_has_no_kink():
-    """J = -(theta - 1)^2: theta = alpha / (1 + alpha) < 1, so the gap -1 / (1 + alpha)^2 is never 0, alpha never rests.
+    """J = -(theta - 1)^2: theta = alpha / (1 + alpha) < 1, so the gap -1 / (1 + alpha)^2 is never
+    0, alpha never rests.
 
     d alpha / dn = 1 / (1 + alpha)^2: 1 + alpha = (3 n)^(1/3), about 18 after 2000 iterations.
     """
@@ -467,7 +537,8 @@ def test_estimator_learns_what_is_privileged(after_two_steps):
 def test_probe_4_a_time_limit_is_not_the_end():
     """Reward x at every step, for as long as one likes: V = x / (1 - 1/2) = 2 x.
 
-    Cut as if by a fall it would be x (probe 2), bootstrapped from the next episode's x it would be x too.
+    Cut as if by a fall it would be x (probe 2), bootstrapped from the next episode's x it would be
+    x too.
     """
     assert values(learn(Probe(lambda x, t, a: x, truncates=True), 100))[:, 0] == near([-2, 2])
 
@@ -487,7 +558,9 @@ def test_probes_5_to_7_the_best_action(reward, cost, best):
 
 
 def test_eq03_probe_7_eipo_puts_the_task_first():
-    """From the same weight, pi_prime shows that the task pays more: alpha rises, and pi comes to 1/2 as well."""
+    """From the same weight, pi_prime shows that the task pays more: alpha rises, and pi comes to
+    1/2 as well.
+    """
     state = learn(Probe(near_half, effort), 100, Probe(near_half, effort))
     assert state.dual.alpha > 4
     assert (means(state.pi) > 0.35).all()

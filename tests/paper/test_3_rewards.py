@@ -1,4 +1,5 @@
-"""Section IV-A: Eqs. (5) to (8) by hand, the velocity that they mean (D25), and the shaped baseline of Section V-E.
+"""Section IV-A: Eqs. (5) to (8) by hand, the velocity that they mean (D25), and the shaped baseline
+of Section V-E.
 
 sigma = 1/4, so that an error of 1/2 costs a factor exp(-(1/2)^2 / (1/4)) = 1/e.
 """
@@ -31,7 +32,9 @@ def reward(function, velocity, command=(0.0, 0.0, 0.0)):
     ],
 )
 def test_eq05_flat(velocity, value):
-    """Command (1, 1/4, -1): each error of 1/2 multiplies its term by 1/e, and v_x and v_y share one term."""
+    """Command (1, 1/4, -1): each error of 1/2 multiplies its term by 1/e, and v_x and v_y share one
+    term.
+    """
     assert reward(rewards.flat, velocity, (1.0, 0.25, -1.0)) == pytest.approx(value, rel=1e-14)
 
 
@@ -45,7 +48,9 @@ def test_eq05_flat(velocity, value):
     ],
 )
 def test_eq06_rough(velocity, value):
-    """Command (1, 1/4, -1): weights 1, 0.05, 0.1, and an error of 1/2 multiplies its own term by 1/e only."""
+    """Command (1, 1/4, -1): weights 1, 0.05, 0.1, and an error of 1/2 multiplies its own term by
+    1/e only.
+    """
     assert reward(rewards.rough, velocity, (1.0, 0.25, -1.0)) == pytest.approx(value, rel=1e-14)
 
 
@@ -67,7 +72,9 @@ def test_eq07_max_velocity(velocity, value):
 
 @pytest.mark.parametrize("v_x", [-8.0, 0.0, 8.0])
 def test_eq07_has_no_command_of_v_x(v_x):
-    """Commands (3, 1/2, -1/4) met in v_y and yaw rate: the reward is v_x, whatever v_x was asked for."""
+    """Commands (3, 1/2, -1/4) met in v_y and yaw rate: the reward is v_x, whatever v_x was asked
+    for.
+    """
     assert reward(rewards.max_velocity, (v_x, 0.5, -0.25), (3.0, 0.5, -0.25)) == v_x
 
 
@@ -82,23 +89,34 @@ def test_eq07_has_no_command_of_v_x(v_x):
 )
 def test_eq08_curriculum(velocity, value):
     """Command (1, 1/4, -1), as Eq. (5), but an error of +1/2 in v_x costs what one of -1/2 does."""
-    assert reward(rewards.curriculum, velocity, (1.0, 0.25, -1.0)) == pytest.approx(value, rel=1e-14)
+    assert reward(rewards.curriculum, velocity, (1.0, 0.25, -1.0)) == pytest.approx(
+        value, rel=1e-14
+    )
 
 
 @pytest.mark.parametrize(
-    ("function", "value"), [(rewards.flat, 1.5), (rewards.rough, 1.15), (rewards.curriculum, E1 + 0.5)]
+    ("function", "value"),
+    [(rewards.flat, 1.5), (rewards.rough, 1.15), (rewards.curriculum, E1 + 0.5)],
 )
 def test_eq05_eq06_one_sided_eq08_two_sided(function, value):
-    """v_x = 3/2, command 1: min(1/2, 0) = 0 is no error in Eqs. (5) and (6); in Eq. (8) it costs 1 - 1/e."""
+    """v_x = 3/2, command 1: min(1/2, 0) = 0 is no error in Eqs. (5) and (6); in Eq. (8) it costs 1
+    - 1/e.
+    """
     assert reward(function, (1.5, 0.0, 0.0), (1.0, 0.0, 0.0)) == pytest.approx(value, rel=1e-14)
 
 
 @pytest.mark.parametrize(
     ("function", "best"),
-    [(rewards.flat, 1.5), (rewards.rough, 1.15), (rewards.max_velocity, np.inf), (rewards.curriculum, 1.5)],
+    [
+        (rewards.flat, 1.5),
+        (rewards.rough, 1.15),
+        (rewards.max_velocity, np.inf),
+        (rewards.curriculum, 1.5),
+    ],
 )
 def test_maximum_and_leading_shape(function, best):
-    """1 + 0.5 or 1 + 0.05 + 0.1, reached where the command is met and nowhere exceeded: the scale of Fig. 2.
+    """1 + 0.5 or 1 + 0.05 + 0.1, reached where the command is met and nowhere exceeded: the scale
+    of Fig. 2.
 
     The environments step as one array: an entry of the result must not depend on the others.
     """
@@ -115,12 +133,15 @@ def test_maximum_and_leading_shape(function, best):
 
 
 @pytest.mark.parametrize(
-    ("frame", "expected"), [("heading", (1.0, 0.5, 0.25)), ("body", (0.75**0.5, 0.5, 0.25 * 0.75**0.5))]
+    ("frame", "expected"),
+    [("heading", (1.0, 0.5, 0.25)), ("body", (0.75**0.5, 0.5, 0.25 * 0.75**0.5))],
 )
 def test_velocity_over_ground(frame, expected):
-    """D25. Heading along (0.8, 0.6), nose up by 30 degrees, yaw 1/4 rad/s; (0.8, 0.6) + (-0.6, 0.8) / 2 = (0.5, 1) m/s.
+    """D25. Heading along (0.8, 0.6), nose up by 30 degrees, yaw 1/4 rad/s; (0.8, 0.6) + (-0.6, 0.8)
+    / 2 = (0.5, 1) m/s.
 
-    Over ground that is (1, 1/2) m/s and 1/4 rad/s. In the body's frame cos 30 of the speed ahead and of the yaw rate
+    Over ground that is (1, 1/2) m/s and 1/4 rad/s. In the body's frame cos 30 of the speed ahead
+    and of the yaw rate
     are left: the rest looks like falling and rolling.
     """
     env, turned = make(1), Rotation.from_euler("ZY", [np.arctan2(0.6, 0.8), -np.pi / 6])
@@ -131,16 +152,26 @@ def test_velocity_over_ground(frame, expected):
 
 @pytest.mark.parametrize(("frame", "value"), [("heading", 1.5), ("body", E1 + 0.5)])
 def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
-    """Nose up by 60 degrees, 1 m/s over ground, as asked: Eq. (5) gives 1.5. In the body frame v_x is cos 60 = 1/2."""
+    """Nose up by 60 degrees, 1 m/s over ground, as asked: Eq. (5) gives 1.5. In the body frame v_x
+    is cos 60 = 1/2.
+    """
     env = make(1, frame=frame, **FROZEN)
-    place(env, quaternion=Rotation.from_euler("Y", -60, degrees=True).as_quat(scalar_first=True), velocity=(1, 0, 0))
+    place(
+        env,
+        quaternion=Rotation.from_euler("Y", -60, degrees=True).as_quat(scalar_first=True),
+        velocity=(1, 0, 0),
+    )
     env.state.command[:] = 1.0, 0.0, 0.0
     assert still(env)[1] == pytest.approx([value], abs=1e-4)
 
 
-@pytest.mark.parametrize(("turn", "expected"), [(("Y", -30), (30, 0)), (("X", 20), (0, 20)), (("Z", 50), (0, 0))])
+@pytest.mark.parametrize(
+    ("turn", "expected"), [(("Y", -30), (30, 0)), (("X", 20), (0, 20)), (("Z", 50), (0, 0))]
+)
 def test_attitude(turn, expected):
-    """Nose up is a turn about -y, the right side goes down in one about x, and a heading is neither. Degrees."""
+    """Nose up is a turn about -y, the right side goes down in one about x, and a heading is
+    neither. Degrees.
+    """
     env = make(1)
     place(env, quaternion=Rotation.from_euler(*turn, degrees=True).as_quat(scalar_first=True))
     assert env.attitude()[:, 0] == pytest.approx(expected, abs=1e-9)
@@ -150,10 +181,23 @@ def test_attitude(turn, expected):
 
 
 def motion(**changes):
-    """A robot that does exactly what it should, in a batch of one: only the two tracking terms are not zero."""
-    still = dict(velocity=np.zeros(3), command=np.zeros(3), v_z=0.0, roll_pitch_rate=np.zeros(2),
-                 gravity=np.array([0.0, 0.0, -1.0]), torque=np.zeros(12), qdd=np.zeros(12), height=0.34,
-                 landed=np.zeros(4), collisions=0, action_change=np.zeros(12), q=np.zeros(12))  # fmt: skip
+    """A robot that does exactly what it should, in a batch of one: only the two tracking terms are
+    not zero.
+    """
+    still = dict(
+        velocity=np.zeros(3),
+        command=np.zeros(3),
+        v_z=0.0,
+        roll_pitch_rate=np.zeros(2),
+        gravity=np.array([0.0, 0.0, -1.0]),
+        torque=np.zeros(12),
+        qdd=np.zeros(12),
+        height=0.34,
+        landed=np.zeros(4),
+        collisions=0,
+        action_change=np.zeros(12),
+        q=np.zeros(12),
+    )
     batch = {name: np.asarray(x)[None] for name, x in (still | changes).items()}
     return shaped.Motion(**batch, joint_range=np.array([[-1.0] * 12, [1.0] * 12]))
 
@@ -172,17 +216,22 @@ def motion(**changes):
         (dict(action_change=[1.0] * 12), 0.01 * 12),
         (dict(q=[0.95, -0.92] + [0.9] * 10), 10 * (0.05 + 0.02)),
         (dict(landed=[0.25, 0.0, 0.75, 0.0]), 0.0),  # nobody asked the robot to move
-        (dict(command=[1.0, 0, 0], velocity=[1.0, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),  # 0.25 - 0.5, 0.5 - 0.5
+        # 0.25 - 0.5, 0.5 - 0.5
+        (dict(command=[1.0, 0, 0], velocity=[1.0, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),
         (dict(command=[0, 1.0, 0], velocity=[0, 1.0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),
-        (dict(command=[0, 0, 1.0], velocity=[0, 0, 1.0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),  # turning on the spot
-        (dict(command=[0.1, 0, 0], velocity=[0.1, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),  # not more than 0.1 m/s
+        # turning on the spot
+        (dict(command=[0, 0, 1.0], velocity=[0, 0, 1.0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),
+        # not more than 0.1 m/s
+        (dict(command=[0.1, 0, 0], velocity=[0.1, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.0),
         (dict(command=[0.11, 0, 0], velocity=[0.11, 0, 0], landed=[0.25, 0.0, 0.5, 0.0]), 0.25),
         (dict(command=[0, 0, 1.0], velocity=[0, 0, 0.5]), 0.5 - 0.5 * E1),  # 0.25 / 0.25
         (dict(collisions=3), 1.5),  # never below 0
     ],
 )
 def test_shaped_reward_term_by_term(changes, lost):
-    """Reference [5], V-E: 1 + 0.5 for perfect tracking, less what each deviation costs by its published weight."""
+    """Reference [5], V-E: 1 + 0.5 for perfect tracking, less what each deviation costs by its
+    published weight.
+    """
     assert shaped.reward(motion(**changes)) == pytest.approx([1.5 - lost])
     assert list(shaped.terms(motion())) == list(shaped.WEIGHTS)
 
@@ -199,7 +248,9 @@ def test_shaped_reward_of_any_leading_shape():
 
 
 def test_landings_by_hand():
-    """0.5 s a step. A foot that was off for 4 steps lands; one that bounced for 1 does not; one stays up, one down."""
+    """0.5 s a step. A foot that was off for 4 steps lands; one that bounced for 1 does not; one
+    stays up, one down.
+    """
     off_ground = np.array([[4, 1, 3, 0]])
     touch = np.array([[True, True, False, True]])
     assert shaped.landings(off_ground, touch, 0.5).tolist() == [[2.0, 0.0, 0.0, 0.0]]

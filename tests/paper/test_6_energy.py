@@ -1,4 +1,6 @@
-"""Section IV-B: Eqs. (9) and (11) by hand, what is clipped (D3), gear ratios (D4), and work as physics has it (D17)."""
+"""Section IV-B: Eqs. (9) and (11) by hand, what is clipped (D3), gear ratios (D4), and work as
+physics has it (D17).
+"""
 
 from dataclasses import replace
 
@@ -8,9 +10,9 @@ import pytest
 from support import FROZEN, NOMINAL, QUARTER, ROOT, make, place, quiet, still
 
 import energy
+import evaluate
 import go1
 import go1_env
-import measure
 from runtime import policy_file
 
 
@@ -21,13 +23,17 @@ def joints(*values):
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 0.0), ("power", 3.0)])
 def test_eq09_mechanical(clip, power):
-    """tau = (2, -5), qd = (3, 2). D3, as printed: 2*3 + (-3)*2 = 0. Power clipped: 6 + max(-10, -3) = 3."""
+    """tau = (2, -5), qd = (3, 2). D3, as printed: 2*3 + (-3)*2 = 0. Power clipped: 6 + max(-10, -3)
+    = 3.
+    """
     assert energy.mechanical_power(joints(2.0, -5.0), joints(3.0, 2.0), clip) == power
 
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 12.0), ("power", 20.0)])
 def test_eq09_mechanical_of_a_joint_driven_backwards(clip, power):
-    """tau = -5, qd = -4, a motor that works: D3, as printed (-3)(-4) = 12, by power (-5)(-4) = 20."""
+    """tau = -5, qd = -4, a motor that works: D3, as printed (-3)(-4) = 12, by power
+    (-5)(-4) = 20.
+    """
     assert energy.mechanical_power(joints(-5.0), joints(-4.0), clip) == power
 
 
@@ -38,14 +44,20 @@ def test_eq09_mechanical_upper_bound(clip, power):
 
 
 def test_eq09_heating():
-    """tau = (1/2, 1), g = (2, 3): tau * g = (1, 3), 0.7 (1 + 9) = 7. (tau / g would give 0.7 (1/16 + 1/9).)"""
+    """tau = (1/2, 1), g = (2, 3): tau * g = (1, 3), 0.7 (1 + 9) = 7. (tau / g would give 0.7 (1/16
+    + 1/9).)
+    """
     assert energy.heating_power(np.array([0.5, 1.0]), np.array([2.0, 3.0])) == 7.0
 
 
 @pytest.mark.parametrize("leg", range(4), ids=["FR", "FL", "RR", "RL"])
-@pytest.mark.parametrize(("joint", "torque"), [(0, 2.0), (1, -2.0), (2, 3.0)], ids=["hip", "thigh", "calf"])
+@pytest.mark.parametrize(
+    ("joint", "torque"), [(0, 2.0), (1, -2.0), (2, 3.0)], ids=["hip", "thigh", "calf"]
+)
 def test_eq09_gear_ratio(leg, joint, torque):
-    """D4, g = (1, 1, 2/3): 2 N m at a hip or thigh and 3 N m at a calf heat alike, 0.7 * 2^2 = 2.8."""
+    """D4, g = (1, 1, 2/3): 2 N m at a hip or thigh and 3 N m at a calf heat alike, 0.7 *
+    2^2 = 2.8.
+    """
     tau = np.zeros(12)
     tau[3 * leg + joint] = torque
     assert energy.heating_power(tau) == 2.8
@@ -53,7 +65,9 @@ def test_eq09_gear_ratio(leg, joint, torque):
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 56.0), ("power", 59.0)])
 def test_eq09_total(clip, power):
-    """tau = (2, -4), qd = (3, 2): 0.7 (4 + 16) + 42 = 56, plus mechanical 6 - 6 = 0 or, by power, 6 - 3 = 3."""
+    """tau = (2, -4), qd = (3, 2): 0.7 (4 + 16) + 42 = 56, plus mechanical 6 - 6 = 0 or, by power, 6
+    - 3 = 3.
+    """
     assert energy.total_power(joints(2.0, -4.0), joints(3.0, 2.0), clip) == power
 
 
@@ -61,14 +75,17 @@ def test_eq09_total(clip, power):
 def test_eq09_survival_bonus(clip, cost):
     """The numbers of the total, 56 W or 59 W, less the bonus of 200.
 
-    No torque: the electronics' 42 W are left, and a cost of 42 - 200 = -158, so that living on pays.
+    No torque: the electronics' 42 W are left, and a cost of 42 - 200 = -158, so that living on
+        pays.
     """
     assert energy.energy_cost(joints(2.0, -4.0), joints(3.0, 2.0), clip) == cost
     idle = np.zeros(12), np.full(12, 7.0), clip
     assert (energy.total_power(*idle), energy.energy_cost(*idle)) == (42.0, -158.0)
 
 
-@pytest.mark.parametrize("function", [energy.mechanical_power, energy.total_power, energy.energy_cost])
+@pytest.mark.parametrize(
+    "function", [energy.mechanical_power, energy.total_power, energy.energy_cost]
+)
 def test_eq09_unknown_clip(function):
     """A misspelt clip is an error, not silently the other reading."""
     with pytest.raises(ValueError, match="not 'velocity'"):
@@ -77,7 +94,9 @@ def test_eq09_unknown_clip(function):
 
 @pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
 def test_eq09_cost_of_a_step(clip, expected):
-    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 + 42 - 200."""
+    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 +
+    42 - 200.
+    """
     env = make(1, clip=clip, **FROZEN)
     place(env, qd=[8.0] + [0.0] * 11)
     info = still(env)[4]
@@ -86,9 +105,11 @@ def test_eq09_cost_of_a_step(clip, expected):
 
 
 def test_eq09_cost_at_the_torque_limit():
-    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3 is 23.7 again.
+    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3
+    is 23.7 again.
 
-    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one asked for.
+    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one
+    asked for.
     """
     env = make(1, **FROZEN)
     place(env)
@@ -105,41 +126,57 @@ def test_eq09_cost_at_the_torque_limit():
     ],
 )
 def test_eq11_smoothness(torque, action, qdd, cost):
-    """2e-4 (4 + 9) = 0.0026; 1e-2 (1 + 1/4) = 0.0125; 2.5e-7 (3600 + 6400) = 0.0025; all three 0.0176."""
+    """2e-4 (4 + 9) = 0.0026; 1e-2 (1 + 1/4) = 0.0125; 2.5e-7 (3600 + 6400) = 0.0025; all three
+    0.0176.
+    """
     terms = (joints(*x) for x in (torque, action, qdd))
     assert energy.smoothness_cost(*terms) == pytest.approx(cost, rel=1e-12)
 
 
 @pytest.mark.parametrize(("qd", "torque"), [(0.0, 5.0), (1.0, 4.3)])
 def test_eq11_smoothness_is_the_cost_of_a_step(qd, torque):
-    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small qdd.
+    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small
+    qdd.
 
-    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is logged all the same.
+    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is
+    logged all the same.
     """
     env = quiet(aux="smooth")
     place(env, qd=qd)
     info = env.step(QUARTER)[4]
     qdd = (env.qvel[0, 6:] - qd) / 4e-9
-    assert info["cost"] == pytest.approx(2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6)
+    assert info["cost"] == pytest.approx(
+        2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6
+    )
     assert info["log"]["power"][0] > 200
 
 
 def test_eq11_takes_the_mean_of_the_physics_steps():
-    """D17. In the air, where joints move: the torques of all four physics steps count, and qdd is that of the 20 ms."""
+    """D17. In the air, where joints move: the torques of all four physics steps count, and qdd is
+    that of the 20 ms.
+    """
     env, torques = quiet(aux="smooth", timestep=0.005), []
     step, before = env.batch.step, env.qvel[:, 6:].copy()
     env.batch.step = lambda: (torques.append(env.ctrl.copy()), step())
     cost, qdd = env.step(QUARTER)[4]["cost"], (env.qvel[:, 6:] - before) / 0.02
     tau = 2e-4 * np.square(torques).sum(-1)
     assert len(tau) == 4 and tau[3].max() < 0.9 * tau[0].min()
-    assert cost == pytest.approx(tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1), rel=1e-6)
+    assert cost == pytest.approx(
+        tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(
     ("function", "arguments", "clip"),
-    [(energy.mechanical_power, 2, ["torque"]), (energy.mechanical_power, 2, ["power"]), (energy.heating_power, 1, []),
-     (energy.total_power, 2, ["power"]), (energy.energy_cost, 2, ["power"]), (energy.smoothness_cost, 3, [])],
-)  # fmt: skip
+    [
+        (energy.mechanical_power, 2, ["torque"]),
+        (energy.mechanical_power, 2, ["power"]),
+        (energy.heating_power, 1, []),
+        (energy.total_power, 2, ["power"]),
+        (energy.energy_cost, 2, ["power"]),
+        (energy.smoothness_cost, 3, []),
+    ],
+)
 def test_energy_of_any_leading_shape(function, arguments, clip):
     """Rollouts are (T, N, 12): an entry of the result must not depend on the others."""
     x = np.random.default_rng(0).normal(size=(arguments, 2, 3, 12)) * 10
@@ -151,7 +188,8 @@ def test_energy_of_any_leading_shape(function, arguments, clip):
 # ---- D17: torque times the mean speed of a physics step ----
 
 HINGE = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody><body>
-  <joint name="hinge" type="hinge" axis="0 1 0" armature="0.5"/><geom size="0.1" mass="0" contype="0"/>
+  <joint name="hinge" type="hinge" axis="0 1 0" armature="0.5"/>
+  <geom size="0.1" mass="0" contype="0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="0.5 0.5 0.5"/></body></worldbody>
   <actuator><motor joint="hinge"/></actuator></mujoco>"""
 
@@ -160,8 +198,10 @@ HINGE = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbod
 def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
     """D17. Inertia 1/2 + 1/2 = 1 kg m^2, 8 N m for 25 steps of 5 ms: 1/8 s, so 1 rad/s and 1/2 J.
 
-    By the mean speed of each step the work is 1/2 J, too. The speed before step k is k / 25, so by that it is
-    8 * 0.005 * (0 + ... + 24) / 25 = 0.48 J: each step loses tau^2 dt / (2 I) = 0.16 W of 4 W on average.
+    By the mean speed of each step the work is 1/2 J, too. The speed before step k is k / 25, so by
+    that it is
+    8 * 0.005 * (0 + ... + 24) / 25 = 0.48 J: each step loses tau^2 dt / (2 I) = 0.16 W of 4 W on
+    average.
     """
     model = mujoco.MjModel.from_xml_string(HINGE.replace("implicitfast", integrator))
     robot, before, mean = mujoco.MjData(model), 0.0, 0.0
@@ -178,14 +218,23 @@ def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
 def random_targets():
     """The nominal pose at rest, and random joint targets for fifty control steps."""
     rng = np.random.default_rng(0)
-    return np.array([0, 0, 0.32, 1, 0, 0, 0, *NOMINAL]), np.zeros(18), NOMINAL + 0.3 * rng.normal(size=(50, 12))
+    return (
+        np.array([0, 0, 0.32, 1, 0, 0, 0, *NOMINAL]),
+        np.zeros(18),
+        NOMINAL + 0.3 * rng.normal(size=(50, 12)),
+    )
 
 
 def policy_targets():
-    """The shipped policy of flat ground, asked for 1 m/s: where it is after a second, and its targets in the next."""
-    params, env_cfg = policy_file.load(ROOT / "results" / "flat" / "flat-eipo-lam0.005-seed23" / "policy.npz")
+    """The shipped policy of flat ground, asked for 1 m/s: where it is after a second, and its
+    targets in the next.
+    """
+    params, env_cfg = policy_file.load(ROOT / "results" / "flat" / "policy.npz")
     as_in_the_model = dict(friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0, stagger=False)
-    env, policy = go1_env.Go1Env(1, replace(env_cfg, **as_in_the_model), 1), measure.deterministic(params)
+    env, policy = (
+        go1_env.Go1Env(1, replace(env_cfg, **as_in_the_model), 1),
+        evaluate.deterministic(params),
+    )
     (obs, _), targets = env.reset(0, [1.0, 0.0, 0.0]), []
     for t in range(100):
         if t == 50:
@@ -197,9 +246,11 @@ def policy_targets():
 
 @pytest.mark.parametrize("motion", [random_targets, policy_targets])
 def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground(motion):
-    """Over one second on its feet: motors = kinetic + potential energy + contacts. No joint is damped.
+    """Over one second on its feet: motors = kinetic + potential energy + contacts. No joint is
+    damped.
 
-    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a third is gone.
+    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a
+    third is gone.
     """
     model = go1.build_model(0.005, None)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY

@@ -1,4 +1,6 @@
-"""Sections IV-C.a, IV-A.4 and V-D: the PD controller and the torque limits of the paper and of the URDF, by hand."""
+"""Sections IV-C.a, IV-A.4 and V-D: the PD controller and the torque limits of the paper and of the
+URDF, by hand.
+"""
 
 import numpy as np
 import pytest
@@ -13,13 +15,17 @@ TOP_SPEED = np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF: hip, thigh, calf
     [(0.5, 0.25, 0.0, 5.0), (0.0, 0.0, 2.0, -1.0), (0.5, 0.25, 2.0, 4.0), (-1.0, 0.5, -4.0, -28.0)],
 )
 def test_pd(target, q, qd, torque):
-    """20 (1/2 - 1/4) = 5; -0.5 * 2 = -1; both 4; 20 (-1 - 1/2) + 0.5 * 4 = -28, beyond the limit and not cut here."""
+    """20 (1/2 - 1/4) = 5; -0.5 * 2 = -1; both 4; 20 (-1 - 1/2) + 0.5 * 4 = -28, beyond the limit
+    and not cut here.
+    """
     assert go1.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
 
 
 def test_motor_model():
     """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
-    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(np.full(12, 3.0))
+    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(
+        np.full(12, 3.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -27,7 +33,9 @@ def test_motor_model():
     [(0, 33.0), (0.5, 16.5), (1, 0.0), (2, 0.0), (-0.5, 16.5), (-1, 0.0), (-2, 0.0)],
 )
 def test_torque_speed_limit(speed, limit):
-    """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed one is -33."""
+    """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed
+    one is -33.
+    """
     assert go1.torque_speed_limit(speed * TOP_SPEED) == pytest.approx([limit] * 12, rel=1e-14)
 
 
@@ -52,7 +60,8 @@ def test_torque_speed_limit_takes_the_speed_of_each_joint():
     ],
 )
 def test_limit_of_both_tables(sign, speed, torque_speed, hip, calf):
-    """By default the URDF's torques hold at any speed. With V-D the smaller one: min(33, 23.7) and min(33, 35.55);
+    """By default the URDF's torques hold at any speed. With V-D the smaller one: min(33, 23.7) and
+    min(33, 35.55);
 
     33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33.
     """

@@ -1,4 +1,6 @@
-"""Sections IV-D and V: what is counted in the episodes of a scripted robot, and statistics whose values are known."""
+"""Sections IV-D and V: what is counted in the episodes of a scripted robot, and statistics whose
+values are known.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,16 +9,18 @@ import numpy as np
 import pytest
 from support import frames, handmade, make
 
-import measure
+import evaluate
 import tasks
-from studies import statistics
+from lab import statistics
 
 
 class Scripted:
-    """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot 2 hardly moves.
+    """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot
+    2 hardly moves.
 
-    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 3/64; power 8 W times the
-    number of the robot plus 1; reward 0.5. After robot 1's fall the next episode has begun: nothing of its 64 counts.
+    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 3/64;
+    power 8 W times the number of the robot plus 1; reward 0.5. After robot 1's fall the next
+    episode has begun: nothing of its 64 counts.
     """
 
     num_envs, env_cfg, slow = 3, SimpleNamespace(episode_steps=20), 3 / 64  # m/s, of robot 2
@@ -28,39 +32,61 @@ class Scripted:
     def step(self, action):
         self.t += 1
         log = dict(
-            v_x=[self.t, 2.0, self.slow], power=[8.0, 16.0, 24.0], pitch=[self.t, 4.0, 0.0], roll=[-1.0, 0.5, 0.0]
+            v_x=[self.t, 2.0, self.slow],
+            power=[8.0, 16.0, 24.0],
+            pitch=[self.t, 4.0, 0.0],
+            roll=[-1.0, 0.5, 0.0],
         )
         log = {name: np.where([False, self.t > 3, False], 64.0, x) for name, x in log.items()}
         terminated = np.array([False, self.t == 3, False])
         truncated = np.array([self.t == 20, False, self.t == 20])
-        return np.zeros((3, 1)), np.where([0, self.t > 3, 0], 64.0, 0.5), terminated, truncated, dict(log=log)
+        return (
+            np.zeros((3, 1)),
+            np.where([0, self.t > 3, 0], 64.0, 0.5),
+            terminated,
+            truncated,
+            dict(log=log),
+        )
 
 
 @pytest.fixture(scope="module")
 def episodes():
-    return measure.run_episodes(lambda obs: obs, Scripted())
+    return evaluate.run_episodes(lambda obs: obs, Scripted())
 
 
 def test_performance_counts_early_ends_as_zeros(episodes):
-    """Section V-A: 20 steps of 0.5 by a limit of 20 are 0.5; robot 1 has 3 of them, 1.5 / 20 = 0.075."""
+    """Section V-A: 20 steps of 0.5 by a limit of 20 are 0.5; robot 1 has 3 of them, 1.5 / 20 =
+    0.075.
+    """
     assert episodes.performance.tolist() == [0.5, 0.075, 0.5]
     assert episodes.fell.tolist() == [False, True, False]
 
 
 def test_velocity_power_energy_and_attitude_are_of_the_first_episode(episodes):
-    """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2 is too slow.
+    """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W; robot 1: 16 W / 2 m/s = 8 J/m; robot 2
+    is too slow.
 
     Robot 0 is 10.5 degrees nose up; robot 1 keeps its 4 until it falls.
     """
-    assert episodes.v_x.tolist() == [10.5, 2.0, 3 / 64] and episodes.power.tolist() == [8.0, 16.0, 24.0]
+    assert episodes.v_x.tolist() == [10.5, 2.0, 3 / 64] and episodes.power.tolist() == [
+        8.0,
+        16.0,
+        24.0,
+    ]
     assert episodes.energy[:2].tolist() == [8 / 10.5, 8.0] and np.isnan(episodes.energy[2])
-    assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [-1.0, 0.5, 0.0]
+    assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [
+        -1.0,
+        0.5,
+        0.0,
+    ]
 
 
 def test_energy_per_metre_needs_a_robot_that_moves(monkeypatch):
-    """D27. Robot 2 stands at 3/64 = 0.047 m/s, and moves at 1/16 = 0.0625 m/s: 24 W / (1/16 m/s) = 384 J/m."""
+    """D27. Robot 2 stands at 3/64 = 0.047 m/s, and moves at 1/16 = 0.0625 m/s: 24 W / (1/16 m/s) =
+    384 J/m.
+    """
     monkeypatch.setattr(Scripted, "slow", 1 / 16)
-    assert measure.run_episodes(lambda obs: obs, Scripted()).energy[2] == 384
+    assert evaluate.run_episodes(lambda obs: obs, Scripted()).energy[2] == 384
 
 
 def test_late_and_peak_velocity(episodes):
@@ -74,46 +100,70 @@ def test_late_and_peak_velocity(episodes):
 
 
 def test_the_policy_that_is_measured_has_no_noise():
-    """D42. The mean, 4 (3 obs) = 12 and 24, of a policy whose noise has a deviation of e^2; the same every time."""
+    """D42. The mean, 4 (3 obs) = 12 and 24, of a policy whose noise has a deviation of e^2; the
+    same every time.
+    """
     params = handmade(estimator=((3.0,),), actor=((0.0,), (4.0,)))
     params["actor"]["log_std"] = params["actor"]["log_std"] + 2
-    policy, obs = measure.deterministic(params), np.array([[1.0], [2.0]], np.float32)
+    policy, obs = evaluate.deterministic(params), np.array([[1.0], [2.0]], np.float32)
     assert policy(obs).tolist() == policy(obs).tolist() == [[12.0], [24.0]]
 
 
 def test_the_world_that_is_measured():
-    """D25, D42. 20 s of one command, the paper's reward over ground, ground of its own; the rest as in training."""
-    other_than_usual = dict(reward="shaped", frame="body", noise=0.5, start_spread=0.25, clip="torque", stagger=True)
-    trained = tasks.task_config("curriculum", episode_steps=300, command_steps=100, ground_seed=7, **other_than_usual)
+    """D25, D42. 20 s of one command, the paper's reward over ground, ground of its own; the rest as
+    in training.
+    """
+    other_than_usual = dict(
+        reward="shaped", frame="body", noise=0.5, start_spread=0.25, clip="torque", stagger=True
+    )
+    trained = tasks.task_config(
+        "curriculum", episode_steps=300, command_steps=100, ground_seed=7, **other_than_usual
+    )
     length = dict(episode_steps=1000, command_steps=1000)
-    world = replace(trained, reward="paper", frame="heading", stagger=False, ground_seed=2024, **length)
-    assert measure.evaluated(trained) == world
+    world = replace(
+        trained, reward="paper", frame="heading", stagger=False, ground_seed=2024, **length
+    )
+    assert evaluate.evaluated(trained) == world
     other = replace(world, clip="power", roughness=(0.125, 0.125), start_spread=0.0)
-    assert measure.evaluated(trained, "power", 0.125, nominal=True) == other
+    assert evaluate.evaluated(trained, "power", 0.125, nominal=True) == other
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
-    """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so (scale 2)."""
+    """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so
+    (scale 2).
+    """
     env, seen = make(2, episode_steps=3, command_steps=3), []
 
     def policy(obs):
         seen.append(frames(obs)[:, :, 3])
         return np.zeros((2, 12))
 
-    asked = [log["command_x"] for _, log, _, _ in measure.steps(policy, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))]
-    assert np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3 and np.array(asked).tolist() == [[0.25, 0.75]] * 3
+    asked = [
+        log["command_x"]
+        for _, log, _, _ in evaluate.steps(policy, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))
+    ]
+    assert (
+        np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3
+        and np.array(asked).tolist() == [[0.25, 0.75]] * 3
+    )
 
 
 def test_iqm_by_hand():
-    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 ... 99^2: 25^2 ... 74^2."""
+    """Of 0 to 7 the middle half is 2, 3, 4, 5: 3.5; the outlier 1000 is not in it. Of 0^2 ... 99^2:
+    25^2 ... 74^2.
+    """
     for greatest in (7.0, 1000.0):
         assert statistics.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
     assert statistics.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
 
 
 def test_summarise_by_hand():
-    """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5, 3.5, 3.5, 5.5."""
-    row = statistics.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], statistics.iqm)
+    """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5,
+    3.5, 3.5, 5.5.
+    """
+    row = statistics.summarise(
+        "x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], statistics.iqm
+    )
     assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_mean", "x_n"]
     assert row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
@@ -121,15 +171,21 @@ def test_summarise_by_hand():
 
 
 def test_summarise_without_an_interval():
-    """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing finite is NaN."""
+    """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing
+    finite is NaN.
+    """
     row = statistics.summarise("x", [np.full(8, 2.0)])
-    assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(row["x_seeds_low"])
+    assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(
+        row["x_seeds_low"]
+    )
     *numbers, n = statistics.summarise("x", [np.array([np.nan])]).values()
     assert len(numbers) == 6 and all(np.isnan(numbers)) and n == 0
 
 
 def test_iqm_does_not_see_rare_falls_but_the_mean_does():
-    """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 = 1.125."""
+    """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 =
+    1.125.
+    """
     episodes = [np.array([0.25, *[1.25] * 7])]
     for row, x in (
         (statistics.summarise("x", episodes), 1.125),
@@ -140,19 +196,25 @@ def test_iqm_does_not_see_rare_falls_but_the_mean_does():
 
 def test_mean_of_what_is_finite():
     """J/m of robots that stand is NaN: (1 + 2) / 2, and NaN where nobody moves."""
-    assert statistics.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5 and np.isnan(statistics.finite_mean([np.nan]))
+    assert evaluate.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5 and np.isnan(
+        evaluate.finite_mean([np.nan])
+    )
 
 
 def test_interval_covers_the_truth():
     """Of 40 samples of a normal with IQM 0, about 38 of the 95 % intervals hold it."""
     rng = np.random.default_rng(0)
-    intervals = [statistics.interval(rng.normal(size=50), statistics.iqm, batch=100) for _ in range(40)]
+    intervals = [
+        evaluate.interval(rng.normal(size=50), statistics.iqm, batch=100) for _ in range(40)
+    ]
     assert 34 <= sum(low < 0 < high for low, high in intervals) <= 40
 
 
 @pytest.mark.filterwarnings("ignore")  # those of its dependencies
 def test_iqm_and_interval_agree_with_rliable():
-    """The library of the paper's reference [31], for three seeds of eight episodes; it draws its own resamples."""
+    """The library of the paper's reference [31], for three seeds of eight episodes; it draws its
+    own resamples.
+    """
     from rliable import library as rly
     from rliable import metrics
 

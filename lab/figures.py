@@ -1,0 +1,253 @@
+"""The paper's Figures 2 to 6 and Table I from our own runs, in the simulator that trained them."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import evaluate
+from lab import episodes, statistics, sweep
+from runtime import run_folder
+
+TABLE1 = dict(
+    zip(
+        sweep.KINDS,
+        (
+            (2.86, 2.84, 2.89),
+            (2.12, 2.12, 2.12),
+            (1.55, 1.53, 1.56),
+            (1.49, 1.48, 1.50),
+            (1.58, 1.57, 1.60),
+            (1.64, 1.63, 1.65),
+            (1.58, 1.55, 1.60),
+            (1.62, 1.61, 1.62),
+            (1.45, 1.45, 1.46),
+            (1.37, 1.37, 1.37),
+        ),
+        strict=True,
+    )
+)  # m/s, Table I
+HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
+
+
+def by_command(folders, task, commands, columns, args, statistic=np.mean):
+    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes,
+    with intervals.
+
+    commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command.
+        Columns that end in
+    _nominal are means of as many episodes that start from the nominal pose. All others are of
+    random starts.
+    """
+    each = max(1, args.episodes // len(commands))
+    rows = []
+    for name, runs in sweep.by_label(folders, task).items():
+        both = [episodes.both_starts(folder, task, commands, each, args) for folder in runs]
+        played, nominal = zip(*both, strict=True)
+        for i, command in enumerate(commands):
+            mine = slice(i * each, (i + 1) * each)
+            row = dict(
+                task=task,
+                run=name,
+                v_x_asked=command[0],
+                yaw_asked=command[2],
+                seeds=len(runs),
+                episodes=each,
+            )
+            row |= dict(fell=np.mean([e.fell[mine] for e in played]))
+            row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
+            for column in columns:
+                row |= statistics.summarise(
+                    column, [getattr(e, column)[mine] for e in played], statistic
+                )
+                row[f"{column}_nominal"] = evaluate.finite_mean(
+                    [getattr(e, column)[mine] for e in nominal]
+                )
+            rows.append(row)
+    return rows
+
+
+def draw_lines(axes, rows, x, column):
+    """Draw a line for each kind of run: means, in their intervals over episodes and, lighter,
+    over seeds.
+    """
+    names = list(dict.fromkeys(row["run"] for row in rows))
+    for i, name in enumerate(names):
+        mine = [row for row in rows if row["run"] == name]
+        at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
+        color, alpha = sweep.color(name), 0.25 if len(names) < 4 else 0.1
+        style = (
+            dict(linewidth=2.5, marker="o")
+            if name == "EIPO"
+            else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
+        )
+        axes.plot(
+            at, y, color=color, label=name, markersize=4, markevery=max(1, len(at) // 10), **style
+        )
+        for over, shade in (("", alpha), ("_seeds", alpha / 2)):
+            low, high = (
+                np.array([row[f"{column}{over}_{end}"] for row in mine], float)
+                for end in ("low", "high")
+            )
+            axes.fill_between(at, low, high, color=color, alpha=shade, linewidth=0)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
+
+
+def draw_panels(rows, panels):
+    """A Figure with a panel over the command v_x for each (task, column, label of the y axis)."""
+    figure = Figure(figsize=(5 * len(panels), 3.6), layout="constrained")
+    for axes, (task, column, title) in zip(
+        figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True
+    ):
+        draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
+        axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
+        if column == "energy":
+            axes.set_yscale("log")  # because a robot that is asked to stand spends much per metre
+    return figure
+
+
+def fig2(folders, args, task="flat"):
+    """Task performance and energy per velocity on flat ground, by command. Section V-A."""
+    rows = by_command(folders, task, evaluate.FORWARD, ("performance", "energy"), args)
+    return rows, draw_panels(
+        rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")]
+    )
+
+
+def fig3(folders, args):
+    """Task performance and energy per velocity on rough ground of 15 cm, by command.
+    Section V-B.
+    """
+    return fig2(folders, args, "rough")
+
+
+def fig4(folders, args):
+    """Task performance of every lambda on flat and on rough ground, or on one of them if only it
+    has runs. V-C.
+    """
+    tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
+    if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
+        raise ValueError("none of the run folders is of the task flat or rough")
+    rows = [
+        row
+        for task in tasks
+        for row in by_command(folders, task, evaluate.FORWARD, ("performance",), args)
+    ]
+    return rows, draw_panels(rows, [(task, "performance", "task performance") for task in tasks])
+
+
+def fig5(folders, args):
+    """Task performance and power over commands of v_x and yaw rate. Section V-E."""
+    commands = np.array(
+        [(x, 0.0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)]
+    )
+    rows = by_command(folders, "curriculum", commands, ("performance", "power"), args)
+    names = list(dict.fromkeys(row["run"] for row in rows))
+    figure = Figure(figsize=(3.2 * len(names) + 1, 5.6), layout="constrained")
+    panels = figure.subplots(2, len(names), squeeze=False, sharex=True, sharey=True)
+    for i, column in enumerate(("performance", "power")):
+        values = np.array(
+            [[row[column] for row in rows if row["run"] == name] for name in names]
+        ).reshape(-1, 11, 11)
+        for axes, name, value in zip(panels[i], names, values, strict=True):
+            image = axes.pcolormesh(
+                commands[:11, 2], commands[::11, 0], value, vmin=values.min(), vmax=values.max()
+            )
+            axes.set(
+                title=f"{name}: {'task performance' if column == 'performance' else 'power [W]'}"
+            )
+        figure.colorbar(image, ax=panels[i])
+    figure.supxlabel("command yaw rate [rad/s]")
+    figure.supylabel("command v_x [m/s]")
+    return rows, figure
+
+
+def fig6(folders, args):
+    """Mean velocity over time of the robots that have not fallen yet. Dotted: the paper's hardware
+    (D45). Section VI.
+
+    Each point is a mean over about a period of the clock, which smooths the strides.
+    """
+    rows = []
+    for name, runs in sweep.by_label(folders, "velocity").items():
+        series = []
+        for folder in runs:
+            policy, env = evaluate.load(
+                folder, args.episodes, args.clip, args.roughness, world=args.world
+            )
+            played = evaluate.steps(policy, env)
+            v_x = np.array([np.where(alive, log["v_x"], np.nan) for _, log, alive, _ in played])
+            strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
+            series.append([stride.mean(0) for stride in np.array_split(v_x, strides)])
+        time = [
+            env.period * stride.mean()
+            for stride in np.array_split(np.arange(len(v_x)) + 0.5, strides)
+        ]
+        rows += [
+            dict(task="velocity", run=name, time=t, seeds=len(runs), episodes=args.episodes)
+            | statistics.summarise("v_x", at)
+            for t, *at in zip(time, *series, strict=True)
+        ]
+    figure = Figure(figsize=(5, 3.6), layout="constrained")
+    draw_lines(axes := figure.subplots(), rows, "time", "v_x")
+    for peak in HARDWARE:
+        axes.axhline(peak, color="black", linestyle=":", linewidth=1)
+    axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
+    return rows, figure
+
+
+def table1(folders, args):
+    """Peak velocity of every lambda as an interquartile mean, both intervals, beside what the paper
+    prints. Table I.
+    """
+    columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
+    rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, statistics.iqm)  # D26
+    for row in rows:
+        printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
+        row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)
+    at, figure = (
+        np.arange(len(rows))[::-1],
+        Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained"),
+    )
+    axes = figure.subplots()
+    seeds_low, seeds_high = (
+        np.array([row[f"peak_seeds_{end}"] for row in rows]) for end in ("low", "high")
+    )
+    axes.hlines(
+        at, seeds_low, seeds_high, color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds"
+    )
+    ours = dict(label="ours", fmt="o", color="#0072B2")
+    printed = dict(label="the paper's", fmt="D", color="#D55E00", markerfacecolor="none")
+    for name, style in (("peak", ours), ("paper", printed)):
+        mean, low, high = (
+            np.array([row[c] for row in rows]) for c in (name, f"{name}_low", f"{name}_high")
+        )
+        axes.errorbar(mean, at, xerr=np.nan_to_num([mean - low, high - mean]), capsize=3, **style)
+    axes.set(yticks=at, yticklabels=[row["run"] for row in rows], xlabel="peak velocity [m/s]")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8)
+    return rows, figure
+
+
+def save(out, what, rows, figure):
+    """Write what.csv and what.png into the folder out: both, or if that fails neither."""
+    text, image = io.StringIO(newline=""), io.BytesIO()
+    writer = csv.DictWriter(
+        text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(
+        {k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows
+    )
+    figure.savefig(image, dpi=150, format="png")
+
+    def write(file):  # the PNG takes its place once the CSV is written, and before it takes its own
+        file.write(text.getvalue().encode())
+        file.flush()
+        run_folder.replace_file(out / f"{what}.png", lambda png: png.write(image.getvalue()))
+
+    run_folder.replace_file(out / f"{what}.csv", write)
+    print(f"{out / what}.csv and .png")

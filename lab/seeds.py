@@ -1,0 +1,93 @@
+"""Runs seed by seed: `python -m lab seeds RUN...` and `python -m lab pareto RUN...`."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import evaluate
+from lab import episodes, sweep
+from runtime import metrics, run_folder
+
+# `seeds` says when the mean task reward of a run's robots reached these
+LEVELS = dict(flat=(1.2, 1.35))
+
+
+def overview(folder, args):
+    """One run as a row of means over episodes with random starts or, in columns that say so, with
+    nominal ones.
+
+    Commands are those of Figs. 2 to 4, also on the task `curriculum`. On a task like `velocity`
+    there are none.
+    """
+    env_cfg, cfg = run_folder.load_config(folder)
+    commands = evaluate.commands_of(env_cfg.task)
+    each = max(1, args.episodes // len(commands))
+    played, nominal = episodes.both_starts(folder, env_cfg.task, commands, each, args)
+    return dict(run=folder.name, seed=cfg.seed) | evaluate.summary(played, nominal, commands)
+
+
+def reached(columns, level):
+    """Million environment steps, and minutes, after which the mean reward of 20 iterations is at a
+    level, or NaN.
+    """
+    if (np.diff(columns["iteration"]) > 1).any():
+        return np.nan, np.nan  # only every tenth row was kept
+    means = np.convolve(columns["reward"], np.ones(20) / 20, "valid")
+    if not (means >= level).any():
+        return np.nan, np.nan
+    at, seconds = np.argmax(means >= level) + 19, np.diff(columns["time_s"], prepend=0.0)
+    # the clock starts anew where a run was resumed
+    seconds = np.where(seconds < 0, columns["time_s"], seconds)
+    return columns["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
+
+
+def seeds(folders, args):
+    """How soon each run of one task learned, and what it does now: its `overview` and its learning
+    curve.
+    """
+    rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for folder in map(Path, folders):
+        columns, task = metrics.read(folder), run_folder.load_config(folder)[0].task
+        times = {
+            f"{unit}_{level}": x
+            for level in LEVELS.get(task, ())
+            for unit, x in zip(("msteps", "minutes"), reached(columns, level), strict=True)
+        }
+        rows.append(overview(folder, args) | times)
+        axes.plot(columns["steps"] / 1e6, columns["reward"], label=folder.name, linewidth=0.8)
+    axes.set(xlabel="million steps", ylabel="task reward per step of pi")
+    axes.legend(fontsize=7)
+    axes.grid(alpha=0.3)
+    return rows, figure
+
+
+def pareto(folders, args):
+    """Speed over ground against energy per metre on `velocity`, a point for each seed; a large
+    point falls often.
+    """
+    rows, figure = [], Figure(figsize=(6, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for i, (name, runs) in enumerate(sweep.by_label(folders, "velocity").items()):
+        mine = [overview(folder, args) for folder in runs]
+        rows += [dict(kind=name) | row for row in mine]
+        x, y, fell = ([row[column] for row in mine] for column in ("energy", "v_x", "fell"))
+        axes.scatter(
+            x,
+            y,
+            20 + 2000 * np.array(fell),
+            alpha=0.6,
+            label=name,
+            color=sweep.color(name),
+            marker="osv^D<>pX*PhdH"[i % 14],
+        )
+    # a standing robot has 1000 J/m
+    axes.set(xlabel="energy [J/m]", ylabel="speed over ground [m/s]", xscale="log")
+    axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    legend = figure.legend(loc="outside right upper", fontsize=8, title="size: falls")
+    for handle in legend.legend_handles:
+        handle.set_sizes([30])
+    return rows, figure

@@ -1,0 +1,43 @@
+"""Statistics of episodes, as in Sections IV-D and V-D of the paper.
+
+Numbers are means, or in Table I interquartile means, with two 95 % bootstrap intervals. One
+resamples the episodes of all seeds, as the paper does. The other resamples the seeds, and so shows
+how much trainings differ. With two or three seeds it reaches from the lowest seed to the highest,
+which is less than 95 %.
+"""
+
+import numpy as np
+from scipy import stats
+
+from evaluate import interval
+
+
+def iqm(x, axis=None):
+    """Interquartile mean: the mean of the middle half of x. It does not see what befalls less than
+    a quarter of x.
+    """
+    return stats.trim_mean(x, 0.25, axis=axis)
+
+
+def summarise(name, by_seed, statistic=np.mean):
+    """Columns of a CSV: a statistic, its intervals over episodes and seeds, the mean, and how many
+    episodes count.
+
+    by_seed: list of (episodes,), one per seed; what is not finite does not count. statistic:
+        np.mean or iqm
+    """
+    by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
+    columns = [
+        f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high", "_mean")
+    ]
+    if not by_seed:
+        return dict.fromkeys(columns, np.nan) | {f"{name}_n": 0}
+    pooled, seeds = np.concatenate(by_seed), np.arange(len(by_seed))
+    over_episodes = interval(pooled, statistic, batch=100)
+    over_seeds = interval(
+        seeds,
+        lambda drawn: statistic(np.concatenate([by_seed[i] for i in drawn])),
+        vectorized=False,
+    )
+    numbers = statistic(pooled), *over_episodes, *over_seeds, pooled.mean()
+    return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": len(pooled)}

@@ -1,0 +1,157 @@
+"""Which runs the figures and Table I need: `python -m lab missing table1` prints what is left.
+
+A run's kind is EIPO or PPO(lambda), with its other cost or reward.
+"""
+
+import shlex
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+from matplotlib import colormaps
+
+import eipo
+import tasks
+import train
+from lab import record
+from runtime import run_folder
+from runtime.flags import Options, parse, settle
+
+LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
+EIPO = ("--algo", "eipo")
+PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
+# the runs behind each figure and Table I: (task, flags of train.py). Table I has EIPO twice: with
+# as many robots in all as PPO, and with as many per policy
+SWEEPS = dict(
+    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
+    fig5=[
+        ("curriculum", flags)
+        for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))
+    ],
+    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
+    table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())],
+)
+# 3 as in V-D, 1 where runs are many or long
+SEEDS = dict(fig2=3, fig3=3, fig4=1, fig5=1, fig6=3, table1=3)
+
+
+def by_label(folders, task):
+    """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
+
+    One kind with two numbers of robots is two kinds. Raises ValueError if there are no runs, and
+    for two runs of one kind that differ in more than the seed, or not in it.
+    """
+    configs = {folder: run_folder.load_config(folder) for folder in map(Path, folders)}
+    configs = {folder: both for folder, both in configs.items() if both[0].task == task}
+    if not configs:
+        raise ValueError(f"none of the run folders is of the task {task}")
+    sizes = {}
+    for env_cfg, cfg in configs.values():
+        sizes.setdefault(kind(env_cfg, cfg), set()).add(cfg.num_envs)
+    groups = {}
+    for folder, (env_cfg, cfg) in configs.items():
+        name = kind(env_cfg, cfg)
+        name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
+        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(read_by(cfg))
+    for name, runs in groups.items():
+        (first, settings), *others = runs.items()
+        for folder, other in others:
+            differing = [field for field in settings if settings[field] != other[field]]
+            if differing != ["seed"]:
+                what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
+                raise ValueError(
+                    f"{first} and {folder} are both {name} but {what}: give one of them"
+                )
+    order = {name: i for i, name in enumerate(KINDS)}
+    return {
+        name: list(groups[name])
+        for name in sorted(groups, key=lambda x: (order.get(x.split(",")[0], 99), x))
+    }
+
+
+def kind(env_cfg, cfg):
+    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost
+    or reward.
+    """
+    usual = eipo.Config(**tasks.TASKS[env_cfg.task].learner)
+    name = (
+        f"PPO({cfg.lam:g})"
+        if cfg.algo == "ppo"
+        else "EIPO"
+        if cfg.lam == usual.lam
+        else f"EIPO from {cfg.lam:g}"
+    )
+    name += (
+        f" at eta_alpha {cfg.lr_alpha:g}"
+        if cfg.algo == "eipo" and cfg.lr_alpha != usual.lr_alpha
+        else ""
+    )
+    return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
+
+
+def read_by(cfg):
+    """cfg, where PPO has the default steps of alpha, which it does not read: runs that differ in
+    them are the same.
+    """
+    steps = {f.name: f.default for f in fields(cfg) if f.name.endswith("_alpha")}
+    return replace(cfg, **steps) if cfg.algo == "ppo" else cfg
+
+
+def color(name):
+    """The color of a kind of run in every figure: EIPO is blue, and PPO orange to brown. A large
+    lambda is dark.
+    """
+    if name.startswith("EIPO"):
+        return "#0072B2"
+    lam = float(name[len("PPO(") : name.index(")")])
+    return colormaps["YlOrBr"](0.3 + 0.07 * sum(x <= lam for x in LAMBDAS))
+
+
+def missing_runs(what, flags):
+    """The train.py commands that a figure or the table still lacks, seeds as in SEEDS; flags: to be
+    added to each.
+    """
+    if what not in SWEEPS:
+        raise ValueError(f"missing takes one of {', '.join(SWEEPS)}, and flags of train.py")
+    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
+    own |= {flag for _, setting in SWEEPS[what] for flag in setting if flag[:2] == "--"}
+    taken = [flag for flag in flags if flag.split("=")[0] in own]
+    if taken:
+        raise ValueError(f"missing sets {taken[0]} itself")
+    for task, setting in SWEEPS[what]:
+        for seed in range(SEEDS[what]):
+            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
+            if (so_far := progress(argv)) not in ("running", "done"):
+                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
+
+
+def progress(argv):
+    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started"
+    or "done".
+
+    A run is also done if `python -m lab add` has put it into results/.
+    """
+    options, given_env, given_learner = parse(argv)
+    env_cfg, cfg = settle(given_env, given_learner)
+    folder = train.run_path(Options(**options), env_cfg, cfg)
+    if run_folder.running(folder):
+        return "running"
+    if in_results(folder.name, env_cfg, cfg):
+        return "done"
+    if not (folder / "checkpoint.npz").exists():
+        return ""
+    # raises if it is a run of other settings
+    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))
+    return "done" if record.last_iteration(folder) >= cfg.iterations else "started"
+
+
+def in_results(name, env_cfg, cfg):
+    """Whether the tables of results/ have the run of this name, with these settings, to its end."""
+    for row in record.read(record.RESULTS / env_cfg.task / record.RUNS):
+        if row["run"] == name:
+            kept_env, kept = record.settings(row)
+            same = (kept_env, read_by(kept)) == (env_cfg, read_by(cfg))
+            return same and int(row["iterations"]) >= cfg.iterations
+    return False
