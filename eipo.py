@@ -6,15 +6,15 @@ which is Algorithm 1 without pi_prime. What they call follows in the order of th
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
-    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2) and
-                    starts at lam (D6)
-    T, N            steps of a rollout and number of environments; `networks.py` defines the widths
-                    D, P, A and K
+    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2),
+                    and starts at lam (D6)
+    T, N            steps of a rollout, and number of environments
+    D, P, A, K      widths, see `networks.py`
 
-An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size` and
-`action_size`, as `go1_env.Go1Env` documents them. No robot, no file and no other process is known
-here. The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and
-learning are compiled.
+An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size`,
+`action_size` and, if it has one, a `mirror`, as `go1_env.Go1Env` documents them. No robot, no file
+and no other process is known here. The loop over iterations is plain Python, so that a
+`breakpoint()` works in it. Acting and learning are compiled.
 """
 
 from dataclasses import dataclass
@@ -31,9 +31,7 @@ from ppo import Learner, global_mean, init_learner, ppo_update
 
 @dataclass(frozen=True)
 class Config:
-    """How to learn. A field's tag says where its value comes from: the paper's section, the lab's
-    code, or us.
-    """
+    """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
     algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
     lam: float = 0.005  # [V-A] lambda_0; alpha starts (PPO: stays) at 1 / lam. 0: no energy term
@@ -73,7 +71,7 @@ class State(NamedTuple):
     """Everything that an iteration depends on, apart from the environments' own state."""
 
     iteration: int
-    key: jax.Array  # (2,) the random key from which `iteration_keys` makes those of every iteration
+    key: jax.Array  # (2,) from which `iteration_keys` makes the random keys of every iteration
     pi: Learner
     pi_prime: Learner | None  # None for PPO
     dual: Dual
@@ -82,28 +80,23 @@ class State(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """tau of Algorithm 1: T steps of N environments. An episode's last step is terminated or
-    truncated, not both.
-    """
+    """tau of Algorithm 1: T steps of N environments."""
 
     obs: np.ndarray  # (T, N, D)
     privileged: np.ndarray  # (T, N, P)
     action: np.ndarray  # (T, N, A)
-    # (T, N, K) streams: task reward r and, for pi, cost lam f, both times reward_scale
-    reward: np.ndarray
-    terminated: np.ndarray  # (T, N)
-    truncated: np.ndarray  # (T, N)
+    reward: np.ndarray  # (T, N, K) streams: reward r and, for pi, cost lam f, times reward_scale
+    terminated: np.ndarray  # (T, N) where an episode ended
+    truncated: np.ndarray  # (T, N) where its time was up; never both
     after: tuple  # obs (N, D), privileged (N, P) after the last step
-    # obs (M, D), privileged (M, P): the last of each truncated episode, in that order, then padding
-    final: tuple
+    final: tuple  # obs (M, D), privileged (M, P), the last ones of truncated episodes, and padding
 
 
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout."""
 
     advantage: jax.Array  # (T, N, K) of each stream, never normalised
-    # (T, N, K) lambda-returns: what the critic learns, and whose mean estimates J
-    target: jax.Array
+    target: jax.Array  # (T, N, K) lambda-returns: the critic learns them, their mean estimates J
     log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
 
 
@@ -111,14 +104,11 @@ class Estimate(NamedTuple):
 
 
 def eipo(env, env_prime, cfg, state=None):
-    """Algorithm 1 as a generator, which yields the State after every iteration and a dict of
-    metrics.
+    """Algorithm 1 as a generator. It yields the State after every iteration, and its metrics.
 
     env, env_prime: environments of pi and of pi_prime
-    state:          the State to continue from, with env and env_prime as they were then; None
-                    starts anew
-    The tags are the paper's line numbers. Where the paper's line 11 prints pi, it means pi_prime
-    (D1).
+    state:          the State to go on from, with env and env_prime as they were then, or None
+    The tags are the paper's line numbers. Where line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
@@ -161,31 +151,23 @@ def ppo(env, cfg, state=None):
         est = estimate(pi.params, tau, cfg)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
         pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
-        yield (
-            State(iteration, state.key, pi, None, dual, start, None),
-            summary(est, dual, cfg) | log | trained,
-        )
+        metrics = summary(est, dual, cfg) | log | trained
+        yield State(iteration, state.key, pi, None, dual, start, None), metrics
 
 
 def iteration_keys(key, iteration):
-    """An iteration's four random keys, for the rollouts of pi and pi_prime, then for the updates of
-    pi and pi_prime.
-    """
+    """Four random keys: of the rollouts of pi and pi_prime, then of their updates."""
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
 def summary(est, dual, cfg):
     """Metrics of an iteration: J(pi), alpha, and the task's share of pi's objective.
 
-    task_share: std(alpha A_r) / (std(alpha A_r) + std(A_f)). Where it is near 1, alpha no longer
-        matters.
+    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1, alpha no longer matters.
     """
     task, cost = est.advantage.std((0, 1))
-    share = (
-        1.0
-        if cfg.lam == 0
-        else dual.alpha * cfg.lam * task / (dual.alpha * cfg.lam * task + cost + 1e-30)
-    )
+    weighed = dual.alpha * cfg.lam * task  # as in `mix`
+    share = weighed / (weighed + cost + 1e-30) if cfg.lam else 1.0
     return dict(J=estimate_J(est), alpha=dual.alpha, task_share=share)
 
 
@@ -193,8 +175,9 @@ def summary(est, dual, cfg):
 
 
 def init_state(env, env_prime, cfg):
-    """The State before the first iteration: random policies, alpha_0, reset environments.
-    env_prime: None for PPO.
+    """The State before the first iteration: random policies, alpha_0, environments that were reset.
+
+    env_prime: None for PPO
     """
     base = jax.random.PRNGKey(cfg.seed)
 
@@ -206,10 +189,12 @@ def init_state(env, env_prime, cfg):
 
     key, key_prime = jax.random.split(jax.random.fold_in(base, 0))
     pi, start = begin(env, key, 2, 2 * cfg.seed)
-    pi_prime, start_prime = (
-        (None, None) if env_prime is None else begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
-    )
-    alpha = cfg.alpha0 if cfg.alpha0 is not None else 1 / cfg.lam if cfg.lam else np.inf
+    pi_prime, start_prime = None, None
+    if env_prime is not None:
+        pi_prime, start_prime = begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
+    alpha = cfg.alpha0
+    if alpha is None:
+        alpha = 1 / cfg.lam if cfg.lam else np.inf
     return State(0, base, pi, pi_prime, Dual(alpha, 0.0), start, start_prime)
 
 
@@ -218,9 +203,7 @@ def init_state(env, env_prime, cfg):
 
 @jax.jit
 def act(params, obs, key, t):
-    """Random actions (N, A) for obs (N, D). key, t: random key of the rollout, and step
-    within it.
-    """
+    """Random actions (N, A) for obs (N, D) in step t of the rollout that has this random key."""
     return sample(params, obs, jax.random.fold_in(key, t))
 
 
@@ -228,8 +211,8 @@ def rollout(env, params, start, key, cfg):
     """Take T steps in env with the policy, from where env is.
 
     start: (obs, privileged) of the N environments now
-    returns Rollout, the next `start`, and the log: means of the environment's float columns, counts
-    of its boolean ones
+    Returns the Rollout, the next `start`, and the log: means of the environment's numbers, and how
+    often what is boolean was true.
     """
     heads = len(params["critic"][-1].bias)
     steps, finals, logs = [], [], []
@@ -242,14 +225,12 @@ def rollout(env, params, start, key, cfg):
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
         start = obs, info["privileged"]
     final = [np.concatenate(column) for column in zip(*finals, strict=True)]
-    # to whole multiples of N: the shapes that JAX compiles for are few
-    padding = -len(final[0]) % len(obs)
+    padding = -len(final[0]) % len(obs)  # to multiples of N, as JAX compiles anew for each shape
     final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
     tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), start, final)
-    columns = {name: np.stack([log[name] for log in logs]) for name in logs[0]}
-    log = {
-        name: int(c.sum()) if c.dtype == bool else float(c.mean()) for name, c in columns.items()
-    }
+    log, columns = {}, {name: np.stack([step[name] for step in logs]) for name in logs[0]}
+    for name, column in columns.items():
+        log[name] = int(column.sum()) if column.dtype == bool else float(column.mean())
     return tau, start, log
 
 
@@ -258,16 +239,16 @@ def rollout(env, params, start, key, cfg):
 
 @partial(jax.jit, static_argnames="cfg")
 def estimate(params, tau, cfg):
-    """The Estimate of a rollout. Streams stay apart: GAE is linear, so their advantages can be
-    mixed later (L8).
+    """The Estimate of a rollout, in which the streams stay apart.
+
+    GAE is linear, so that their advantages can be mixed later (L8).
     """
     values = value(params, tau.obs, tau.privileged)
     next_values = jnp.concatenate([values[1:], value(params, *tau.after)[None]])
     terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
-    # where time was up, more would have followed: the k-th such step takes the k-th final value
-    if len(tau.final[0]):
+    if len(tau.final[0]):  # where time was up, more would have followed
         k = jnp.cumsum(tau.truncated).reshape(tau.truncated.shape) - 1
-        next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)
+        next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)  # the k-th
     advantage = gae(
         tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda
     )
@@ -276,13 +257,13 @@ def estimate(params, tau, cfg):
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
-    """GAE, the advantages (T, ...): sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the
-    episode's end.
+    """GAE, the advantages (T, ...).
 
-    reward, value: (T, ...); next_value: (T, ...) value of the state that step t led to, also where
-        truncated
-    terminated, truncated: (T, ...) bool. Both end the sum; after `terminated` alone there is no
-        next value.
+    They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode.
+
+    reward, value: (T, ...)
+    next_value:    (T, ...) of the state to which step t led, also where truncated
+    terminated, truncated: (T, ...) bool. Both end the sum; only `terminated` has no next value.
     """
     delta = reward + gamma * next_value * ~terminated - value
     decay = gamma * gae_lambda * ~(terminated | truncated)
@@ -298,10 +279,10 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
 def mix(advantage, alpha, lam):
     """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6).
 
-    advantage: (T, N, 2) of the streams r and lam f. The weights alpha lam and -1 give lam (alpha
-        A_r - A_f). With
-    alpha = 1 / lam this is A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and only
-    the task counts.
+    advantage: (T, N, 2) of the streams r and lam f
+
+    The weights alpha lam and -1 give lam (alpha A_r - A_f). With alpha = 1 / lam this is
+    A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and the task alone counts.
     """
     return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
 
@@ -318,13 +299,13 @@ def estimate_J(estimate):
 
 
 def step_alpha(dual, gap, cfg):
-    """The Dual after one step of gradient ascent on L of Eq. (4), with the momentum of torch's SGD
-    (D38). IV-C.c.
+    """The Dual after a step of gradient ascent on L of Eq. (4), with momentum. IV-C.c (D38).
 
-    gap: J(pi) - J(pi_prime). dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises
-        while pi is the worse
-    one. Where alpha would fall below 0, it becomes 0 and loses its momentum. If gap is not finite,
-    nothing moves.
+    gap: J(pi) - J(pi_prime)
+
+    dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises while pi is the worse one.
+    Momentum is that of torch's SGD. Where alpha would fall below 0, it becomes 0 and loses its
+    momentum. If the gap is not finite, nothing moves.
     """
     if not np.isfinite(gap):
         return dual

@@ -29,9 +29,8 @@ def mechanical_power(torque, qd, clip):
     Raises ValueError for any other clip.
 
     Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a
-        joint that is driven
-    hard in the negative direction is charged as if its torque were -3 N m, and a policy finds that
-    out.
+    joint that is driven hard in the negative direction is charged as if its torque were -3 N m, and
+    a policy finds that out.
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)
@@ -51,8 +50,7 @@ def heating_power(torque, gear_ratio=GEAR_RATIO):
 
 
 def total_power(torque, qd, clip):
-    """Power drawn from the battery [W]: r_mechanical + r_heating + r_battery of Eq. (9), without
-    the bonus.
+    """Power drawn from the battery [W]: Eq. (9) without its bonus.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
     """
@@ -60,8 +58,7 @@ def total_power(torque, qd, clip):
 
 
 def energy_cost(torque, qd, clip):
-    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), the total power less the survival
-    bonus of 200.
+    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), total power less the bonus of 200.
 
     torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
     """
@@ -69,13 +66,13 @@ def energy_cost(torque, qd, clip):
 
 
 def smoothness_cost(torque, action, qdd):
-    """The auxiliary cost of Section V-E [-]. Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7
-    ||qdd||^2.
+    """The auxiliary cost of Section V-E [-].
+
+    Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7 ||qdd||^2.
 
     torque: (..., 12) [N m]      joint torque
     action: (..., 12) [-]        the policy's action itself, not its rate
-    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step by the step's
-            length
+    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, by its length
     returns (...,) [-]
     """
     norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731  ||x||^2

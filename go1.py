@@ -1,5 +1,4 @@
-"""The robot: its model `go1.xml` as MuJoCo gets it, its nominal pose, the kinematics of its legs
-and its motors.
+"""The robot: its model `go1.xml` as MuJoCo gets it, nominal pose, kinematics of the legs, motors.
 
 Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the
 joints of each as hip, thigh, calf, so arrays over the joints are (..., 12). The numbers are those
@@ -102,10 +101,9 @@ def motor_model(target, q, qd):
 
     target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
     Deviation D11: the paper's network is not public. This function and the torque-speed limit after
-        it approximate the
-    lab's published network for position errors below about 0.5 rad. It is a PD controller with 0.2
-    N m s / rad more damping. That network saturates earlier, at 18 N m for 1 rad. A network can
-    take the place of this function.
+    it approximate the lab's published network for position errors below about 0.5 rad. It is a PD
+    controller with 0.2 N m s / rad more damping. That network saturates earlier, at 18 N m for
+    1 rad. A network can take the place of this function.
     """
     return KP * (target - q) - (KD + 0.2) * qd
 
@@ -114,8 +112,7 @@ def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 
     qd, qd_max: (..., 12) [rad/s]; returns (..., 12) [N m].
-    Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max, which
-        means nothing.
+    Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max.
     """
     return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
 

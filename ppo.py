@@ -1,5 +1,4 @@
-"""Proximal policy optimization: the update of a policy from one rollout, in lines 9 and 11 of
-Algorithm 1.
+"""Proximal policy optimization: a policy's update from one rollout, lines 9 and 11 of Algorithm 1.
 
 It knows nothing of EIPO. It takes one advantage for each sample, in which the streams of `eipo.py`
 are mixed already. The widths D, P, A and K are those of `networks.py`. Everything here is compiled.
@@ -15,10 +14,8 @@ import optax
 from networks import init_params, log_prob, policy, value
 from runtime.parallel import average, compiled
 
-# [ours] of log_std, so that the policy's noise can neither vanish nor explode
-LOG_STD_RANGE = (-4.0, 1.0)
-# of an adapted step size: the least is the lab's, the greatest is the paper's (D20)
-LR_RANGE = (1e-5, 1e-3)
+LOG_STD_RANGE = (-4.0, 1.0)  # [ours] so that the policy's noise neither vanishes nor explodes
+LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: least the lab's, greatest the paper's (D20)
 
 
 class Learner(NamedTuple):
@@ -60,40 +57,28 @@ def optimizer(cfg):
 def ppo_update(learner, tau, estimate, advantage, key, cfg):
     """All epochs and minibatches of one iteration; returns the new Learner and the log.
 
-    log: the means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
-
-    advantage: (T, N), mixed. It is normalised here, once. Each epoch shuffles the samples
-        anew.
+    advantage: (T, N), mixed. It is normalised here, once
+    log:       means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
-    data = dict(
-        obs=tau.obs,
-        privileged=tau.privileged,
-        action=tau.action,
-        advantage=advantage,
-        target=estimate.target,
-        log_prob=estimate.log_prob,
-    )
+    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action)
+    data |= dict(target=estimate.target, log_prob=estimate.log_prob, advantage=advantage)
     return ppo_epochs(learner, data, key, cfg)
 
 
 @compiled
 def ppo_epochs(learner, data, key, cfg):
-    """`ppo_update` of data: arrays (T, N, ...) by name. Gradients and logs are averaged over the
-    processes.
+    """`ppo_update` of data, arrays (T, N, ...) by name. Each epoch shuffles the samples anew.
+
+    Gradients and logs are averaged over the processes.
     """
     advantage = data["advantage"] - global_mean(data["advantage"])
     advantage = advantage / (jnp.sqrt(global_mean(jnp.square(advantage))) + 1e-8)
-    size = advantage.size
-    data = {
-        name: x.reshape(size, *x.shape[2:])
-        for name, x in (data | dict(advantage=advantage)).items()
-    }
-    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(
-        jax.random.split(key, cfg.num_epochs)
-    )
-    minibatches = orders[:, : size - size % cfg.num_minibatches].reshape(
-        cfg.num_epochs * cfg.num_minibatches, -1
-    )
+    size, parts = advantage.size, cfg.num_minibatches
+    data |= dict(advantage=advantage)
+    data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
+    keys = jax.random.split(key, cfg.num_epochs)
+    orders = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)
+    minibatches = orders[:, : size - size % parts].reshape(cfg.num_epochs * parts, -1)
 
     def step(learner, chosen):
         batch = {name: x[chosen] for name, x in data.items()}
@@ -104,9 +89,8 @@ def ppo_epochs(learner, data, key, cfg):
         return Learner(params, opt_state, learner.lr), log
 
     learner, log = jax.lax.scan(step, learner, minibatches)
-    log = {name: x.mean() for name, x in log.items()} | dict(
-        skipped=learner.opt_state.total_notfinite, lr=learner.lr
-    )
+    log = {name: x.mean() for name, x in log.items()}
+    log |= dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
     return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
 
 
@@ -116,23 +100,17 @@ def global_mean(x):
 
 
 def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. Each network learns from its own term; values are not
-    clipped.
-    """
+    """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
     mean, std, velocity = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    value_loss = (
-        jnp.square(value(params, batch["obs"], batch["privileged"]) - batch["target"])
-        .sum(-1)
-        .mean()
-    )
+    values = value(params, batch["obs"], batch["privileged"])
+    value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
-    # estimates KL(old, new) from the samples and is never negative
-    kl = (ratio - 1 - log_ratio).mean()
+    kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new), and is never negative
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
 
 
@@ -142,9 +120,7 @@ def clipped_surrogate(ratio, advantage, clip_eps):
 
 
 def adapt_lr(lr, kl, cfg):
-    """The next step size: smaller if the policy moved too far, larger if it hardly moved. The lab's
-    rule (D20).
-    """
+    """The next step size: smaller if the policy moved too far, larger if it hardly moved (D20)."""
     if cfg.target_kl == 0:
         return lr
     factor = jnp.where(kl > 2 * cfg.target_kl, 1 / 1.5, jnp.where(kl < cfg.target_kl / 2, 1.5, 1.0))
