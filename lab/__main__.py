@@ -15,7 +15,20 @@ if __name__ == "__main__" and sys.argv[1:2] != ["play"]:
 
 import evaluate
 import go1_env
-from lab import adopt, figures, gait, joints, objective, readings, record, regions, robust, seeds
+from lab import (
+    adopt,
+    claims,
+    figures,
+    gait,
+    joints,
+    objective,
+    overview,
+    readings,
+    record,
+    regions,
+    robust,
+    seeds,
+)
 from lab import sweep as sweeps
 from runtime import run_folder
 
@@ -26,6 +39,8 @@ FIGURES = {
     "fig5": (figures.fig5, "task performance and power over commands of v_x and yaw rate"),
     "fig6": (figures.fig6, "speed over time on velocity"),
     "table1": (figures.table1, "peak velocity of every lambda beside what the paper prints"),
+    "tradeoff": (overview.tradeoff, "score over power of all runs, a dot for each seed"),
+    "lambdas": (overview.lambdas, "score, power and the last alpha over lambda"),
     "pareto": (seeds.pareto, "speed against J/m on velocity, a point for each seed"),
     "seeds": (seeds.seeds, "how soon and how well the runs of one task learned"),
     "gait": (gait.gait, "how each run's robot moves its feet"),
@@ -35,6 +50,7 @@ FIGURES = {
 OTHERS = {
     "add": "RUN...: put runs into the tables of results/; --results DIR for others",
     "table": "RUN...: a line for each run, as evaluate.py prints it, from kept episodes",
+    "claims": "the paper's claims, each with a difference over seeds and a verdict by rule",
     "missing": "FIGURE [FLAG ...]: train.py commands of the runs that a figure still lacks",
     "readings": "READING [FLAG ...]: train.py with another reading of the paper",
     "objective": "RUN...: which policy on velocity Eq. (2) prefers at each lambda",
@@ -121,6 +137,8 @@ def other(name, argv):
         return readings.main("".join(argv[:1]), argv[1:])
     elif name == "add":
         add(argv)
+    elif name == "claims":
+        print(*claims.table(*argv[:1]), sep="\n")
     elif name == "regions":
         print(*regions.lines("".join(argv[:1])), sep="\n")
     elif name == "play":

@@ -57,6 +57,8 @@ LAYERS = {
     "lab/objective": set(),
     "lab/regions": {"numpy"},
     "lab/readings": {"jax"},
+    "lab/claims": {"numpy", "scipy"},
+    "lab/overview": {"numpy", "matplotlib"},
     "lab/figures": {"numpy", "matplotlib"},
     "lab/__main__": set(),
 }

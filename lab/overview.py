@@ -1,0 +1,92 @@
+"""All runs in one picture: `python -m lab tradeoff RUN...` and `python -m lab lambdas RUN...`.
+
+A dot is a run. Its score is task performance, on `velocity` the peak of Table I, and its power that
+of Eq. (9) without the bonus. Both are of the kept episodes with random starts.
+"""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lab import claims, episodes, sweep
+from runtime import metrics, run_folder
+
+TASKS = dict(flat="task performance", rough="task performance", velocity="peak velocity [m/s]")
+FLOOR = dict(flat=1.4, rough=1.0, velocity=-1.0)  # a lower score is drawn there, as a triangle
+PRINTED = {"EIPO": 2.86, "PPO(0)": 2.12, "PPO(0.02)": 1.37}  # m/s, Table I
+
+
+def dots(folders):
+    """A row for each run of TASKS whose episodes were kept: what it is, its score, its power."""
+    rows = []
+    for folder in folders:
+        env_cfg, cfg = run_folder.load_config(folder)
+        played = episodes.read_text(folder / run_folder.EPISODES)
+        if not played or env_cfg.task not in TASKS or env_cfg.clip != "power":
+            continue
+        e = claims.random_starts(played, env_cfg.task)
+        score = claims.peak(e) if env_cfg.task == "velocity" else claims.performance(e)
+        row = dict(task=env_cfg.task, run=folder.name, kind=sweep.kind(env_cfg, cfg))
+        row |= dict(algo=cfg.algo, lam=cfg.lam, seed=cfg.seed, score=score, power=claims.power(e))
+        alpha = metrics.read(folder).get("alpha", [np.nan])[-1]
+        rows.append(row | dict(alpha=alpha))
+    if not rows:
+        raise ValueError(f"none of the runs is of {', '.join(TASKS)} and has kept episodes")
+    return rows
+
+
+def scatter(axes, rows, x, y):
+    """A dot for each row, with a line between the seeds of a kind; EIPO blue, PPO by lambda."""
+    for algo, marker in (("ppo", "o"), ("eipo", "D")):
+        for row in (row for row in rows if row["algo"] == algo):
+            color = sweep.color(row["kind"])
+            axes.scatter(x(row), row[y], 36, color=color, marker=marker, alpha=0.85, linewidths=0)
+    axes.grid(alpha=0.3)
+
+
+def tradeoff(folders, args):
+    """Score over power, a dot for each seed: up and left is better. What stands is a triangle."""
+    rows = dots(folders)
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    for axes, (task, title) in zip(figure.subplots(1, len(TASKS)), TASKS.items(), strict=True):
+        mine = [row for row in rows if row["task"] == task]
+        low = [row for row in mine if row["score"] < FLOOR[task]]
+        scatter(axes, [row for row in mine if row not in low], lambda row: row["power"], "score")
+        for row in low:
+            style = dict(marker="v", color=sweep.color(row["kind"]), linewidths=0)
+            axes.scatter(row["power"], FLOOR[task], 36, **style)
+        axes.set(xscale="log", xlabel="power [W]", ylabel=title, title=task)
+        axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
+        axes.minorticks_off()
+    for name, speed in PRINTED.items():
+        axes.axhline(speed, color="black", linestyle=":", linewidth=0.8)
+        place = dict(transform=axes.get_yaxis_transform(), fontsize=7, va="bottom")
+        axes.text(0.02, speed, f"{name}, the paper's", **place)
+    kinds = ["EIPO", *(f"PPO({lam:g})" for lam in sweep.LAMBDAS)]
+    for kind in kinds:
+        style = dict(marker="D" if kind == "EIPO" else "o", color=sweep.color(kind))
+        axes.scatter([], [], label=kind, **style)
+    figure.legend(loc="outside right center", fontsize=8, title="a dot is a seed")
+    return rows, figure
+
+
+def lambdas(folders, args):
+    """Score, power and the last 1 / alpha over lambda: of PPO, and over lambda_0 of EIPO."""
+    rows = dots(folders)
+    tasks = [task for task in TASKS if any(row["task"] == task for row in rows)]
+    figure = Figure(figsize=(4 * len(tasks), 8), layout="constrained")
+    panels = figure.subplots(3, len(tasks), squeeze=False, sharex=True)
+    for column, task in zip(panels.T, tasks, strict=True):
+        mine = [row | dict(end=1 / row["alpha"]) for row in rows if row["task"] == task]
+        for axes, y in zip(column, ("score", "power", "end"), strict=True):
+            scatter(axes, [r for r in mine if y != "end" or r["algo"] == "eipo"], shown, y)
+        column[0].set(title=task, ylabel=TASKS[task])
+        column[1].set(yscale="log", ylabel="power [W]")
+        column[2].set(yscale="log", ylabel="EIPO's 1 / alpha at the end", xlabel="lambda, lambda_0")
+        column[2].set_xscale("log")
+        column[2].axline((1e-4, 1e-4), (1e-2, 1e-2), color="black", linestyle=":", linewidth=0.8)
+    return rows, figure
+
+
+def shown(row):
+    """Where a row's lambda stands on a logarithmic axis, on which 0 is at its left end."""
+    return max(row["lam"], 5e-5)
