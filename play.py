@@ -1,11 +1,11 @@
-"""Look at a policy: `python play.py RUN` opens MuJoCo's viewer, `python play.py RUN --gif FILE`
-needs no display.
+"""Look at a policy: `python play.py RUN` opens MuJoCo's viewer.
 
---slow 4 shows it four times slower, and --forces draws the forces of the ground on the feet.
+Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture.
+With --follow the robot gets every new policy that a run saves while it trains. --slow 4 shows it
+four times slower, and --forces draws the forces of the ground on the feet.
 
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
-of yaw rate; backspace sets it to 0. With --follow the robot gets every new policy that a run saves
-while it trains.
+of yaw rate; backspace sets it to 0. In the browser there are sliders.
 """
 
 import argparse
@@ -170,6 +170,62 @@ def watch(env, steps, command, slow=1.0, forces=False):
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
 
+def launch_web(env, model, command, said, port, host):
+    """MuJoCo's viewer for browsers, in a thread of its own: a handle, to be used in a with block.
+
+    command: (3,) that its sliders change; said: a list with the line that it shows
+    Raises ValueError if this MuJoCo has no such viewer.
+    """
+    try:
+        from mujoco.studio import launch_thread, messages, plugin, viewer_protocol, web_viewer
+        from mujoco.studio.dear_imgui import dear_imgui as gui
+    except ImportError:
+        raise ValueError(f"--web needs MuJoCo 4.0, and this is {mujoco.__version__}") from None
+    low, high = tasks.trained(env.env_cfg.task)
+
+    class Viewer(web_viewer.WebViewer):
+        _host = property(lambda self: host, lambda self, _: None)  # it would take all interfaces
+
+    class Panel(plugin.ViewerPlugin):
+        @messages.handler
+        def build(self, event: messages.BuildGuiEvent):
+            gui.SetNextWindowPos(gui.Vec2(10, 10))
+            gui.Begin("command", True, int(gui.WindowFlags.AlwaysAutoResize))
+            gui.Text(said[0])
+            for i, name in enumerate(("v_x [m/s]", "v_y [m/s]", "yaw rate [rad/s]")):
+                if low[i] < high[i]:
+                    command[i] = gui.SliderFloat(name, command[i], low[i], high[i])[1]
+            gui.End()
+
+    def run(endpoint):
+        camera = mujoco.MjvCamera()
+        point(camera, env, model)
+        config = viewer_protocol.ViewerConfig(title="EIPO", gfx="web", http_port=port)
+        viewer = Viewer(config, endpoint, plugins=[Panel()], camera=camera)
+        viewer_protocol.run_viewer_loop(viewer)
+
+    return launch_thread.launch_thread(run)
+
+
+def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
+    """Show steps (an iterator of `play`) in browsers, until Ctrl-C.
+
+    port: 0 takes the first free one from 8080 on; host: at which address browsers may ask
+    Raises ValueError if this MuJoCo cannot, RuntimeError if the port is taken.
+    """
+    model, data = make_scene(env)
+    said = [""]
+    with launch_web(env, model, command, said, port, host) as handle:
+        handle.set_model(model, data=data)
+        while handle.is_running():
+            start = time.monotonic()
+            log = next(steps)
+            show(env, model, data)
+            said[0] = caption(log, command)
+            handle.sync()
+            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
+
+
 def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not
     shown.
@@ -224,6 +280,15 @@ def parse(argv):
     parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
     parser.add_argument("run", help="run folder with a policy.npz")
     parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
+    parser.add_argument(
+        "--web", action="store_true", help="show it in a browser, without a display"
+    )
+    parser.add_argument(
+        "--port", type=int, default=0, help="of --web (default: free, from 8080 on)"
+    )
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="of --web; 0.0.0.0: other machines, too"
+    )
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
     asked = dict(
         type=float,
@@ -264,9 +329,14 @@ def main(argv, world=go1_env.Go1Env):
             )
         if warning := tasks.untrained(env_cfg.task, command):
             print(f"play.py: {args.run}: {warning}", file=sys.stderr)
-        check_drawing(args.gif)
+        if not 0 <= args.port < 2**16:
+            raise ValueError(f"--port is {args.port}: it must be from 0 to 65535")
+        if not args.web:
+            check_drawing(args.gif)
         steps = play(env, args.run, command, args.follow)
-        if args.gif is None:
+        if args.web:
+            serve(env, steps, command, args.port, args.host, args.slow)
+        elif args.gif is None:
             watch(env, steps, command, args.slow, args.forces)
         else:
             save_gif(Path(args.gif), env, steps, args.seconds, command, args.slow, args.forces)

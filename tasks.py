@@ -169,16 +169,20 @@ def example(task):
     return np.array(FORWARD if TASKS[task].curriculum else TASKS[task].command_high)
 
 
-def untrained(task, command):
-    """What to say about a command (3,) [m/s, m/s, rad/s] that a task never trains, or "" about one
-    that it trains.
+def trained(task):
+    """The least and the greatest command (3,) [m/s, m/s, rad/s] that a task trains.
 
-    On `curriculum` the whole grid counts as trained, although no run has reached all of it.
+    On `curriculum` these are the ends of the grid, although no run has reached all of it.
     """
-    low, high = np.zeros(3), np.array(TASKS[task].command_high)
     if TASKS[task].curriculum:
         (x, yaw), (x_high, yaw_high), (y, y_high) = curriculum.LOW, curriculum.HIGH, curriculum.V_Y
-        low, high = np.array([x, y, yaw]), np.array([x_high, y_high, yaw_high])
+        return np.array([x, y, yaw]), np.array([x_high, y_high, yaw_high])
+    return np.zeros(3), np.array(TASKS[task].command_high)
+
+
+def untrained(task, command):
+    """What to say about a command (3,) that a task never trains, or "" about one that it trains."""
+    low, high = trained(task)
     if ((low <= command) & (command <= high)).all():
         return ""
     ranges = ", ".join(
