@@ -37,7 +37,7 @@ except (RuntimeError, AttributeError, OSError) as error:
     )
     sys.exit(2)
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 import evaluate
 import go1_env
@@ -50,18 +50,19 @@ from runtime.flags import check_world
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
 # of a GIF; four seconds on rough ground take 2 MB
-SIZE, STEPS_PER_FRAME, COLOURS = (320, 216), 3, 64
+SIZE, STEPS_PER_FRAME, COLOURS, LETTERS = (480, 270), 3, 64, 17
 NEWTON, ORANGE = 0.004, (255, 115, 0)  # of the arrows for contact forces: m per newton, and colour
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 
 
 def make_env(env_cfg, roughness=None, world=go1_env.Go1Env):
-    """One robot on one tile, without a time limit.
+    """One robot on one tile, without a time limit, which starts from the nominal pose.
 
     roughness: [m], or None for the greatest of the run; world(num_envs, env_cfg) makes it
     """
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
+    changes |= dict(start_spread=0.0)
     env_cfg = replace(env_cfg, **changes)
     check_world(1, env_cfg, None)
     return world(1, env_cfg)
@@ -106,7 +107,7 @@ def point(camera, env, model):
     """Let a camera follow the trunk, from the front right of where the robot heads now."""
     w, x, y, z = env.qpos[0, 3:7]
     camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
-    camera.distance, camera.elevation = 1.7, -20.0
+    camera.distance, camera.elevation = 1.5, -18.0
     camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
@@ -124,15 +125,16 @@ def caption(log, command):
 # ---- the policy at work ----
 
 
-def play(env, folder, command, follow=False):
+def play(env, folder, command, follow=False, seed=0):
     """Run the deterministic policy of a run folder forever; yields the log of each control step
     (see Go1Env.step).
 
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place
     follow:  whether to load policy.npz again whenever training has written a new one
+    seed:    of friction, payload, heading and ground under the robot
     """
     path, loaded = Path(folder) / "policy.npz", None
-    obs, _ = env.reset(0, command)
+    obs, _ = env.reset(seed, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
             loaded, policy = (
@@ -228,20 +230,26 @@ def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
 
 def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
     """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not
-    shown.
+    shown. Returns how often the robot fell in them.
     """
     model, data = make_scene(env)
-    images, camera, options = [], mujoco.MjvCamera(), mujoco.MjvOption()
+    images, camera, options, falls = [], mujoco.MjvCamera(), mujoco.MjvOption(), 0
+    font = ImageFont.load_default(LETTERS)
     options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
     every = max(1, round(STEPS_PER_FRAME / slow))
     next(itertools.islice(steps, round(1 / env.period) - 1, None))
     point(camera, env, model)
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for log in itertools.islice(steps, 0, round(seconds / env.period), every):
+        for i, log in enumerate(itertools.islice(steps, round(seconds / env.period))):
+            if log["ended_fall"][0]:
+                falls += 1
+                point(camera, env, model)  # the next episode may head elsewhere
+            if i % every:
+                continue
             show(env, model, data)
             renderer.update_scene(data, camera, options)
             image = Image.fromarray(renderer.render())
-            ImageDraw.Draw(image).text((8, 6), caption(log, command), fill=(20, 20, 20))
+            ImageDraw.Draw(image).text((10, 6), caption(log, command), (20, 20, 20), font)
             if not images:  # one palette for all frames is smaller
                 first = image.copy()
                 if forces:  # the palette needs their colour, even if no foot is on the ground yet
@@ -255,6 +263,7 @@ def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
         loop=0,
     )
     run_folder.replace_file(path, lambda file: images[0].save(file, "GIF", **gif))
+    return falls
 
 
 def check_drawing(gif):
@@ -289,6 +298,7 @@ def parse(argv):
     parser.add_argument(
         "--host", default="127.0.0.1", help="of --web; 0.0.0.0: other machines, too"
     )
+    parser.add_argument("--seed", type=int, default=0, help="of the world (default: 0)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
     asked = dict(
         type=float,
@@ -312,6 +322,19 @@ def parse(argv):
     return parser.parse_args(argv)
 
 
+def check_numbers(args, command):
+    """Raise ValueError for numbers on the command line that make no sense."""
+    shown = 0.1 <= args.seconds <= 600 and 0.1 <= args.slow <= 100
+    if not (np.abs(command) <= 10).all() or not shown:
+        raise ValueError(
+            "--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100"
+        )
+    if not 0 <= args.port < 2**16:
+        raise ValueError(f"--port is {args.port}: it must be from 0 to 65535")
+    if args.seed < 0:
+        raise ValueError(f"--seed is {args.seed}: it must be 0 or more")
+
+
 def main(argv, world=go1_env.Go1Env):
     """Play or draw; returns the exit status. world: see `make_env`."""
     args = parse(argv)
@@ -319,27 +342,20 @@ def main(argv, world=go1_env.Go1Env):
         env_cfg = policy_file.load(Path(args.run) / "policy.npz")[1]
         env = make_env(env_cfg, args.roughness, world)
         command = np.array(args.command, float) if args.command else tasks.example(env_cfg.task)
-        if (
-            not (np.abs(command) <= 10).all()
-            or not 0.1 <= args.seconds <= 600
-            or not 0.1 <= args.slow <= 100
-        ):
-            raise ValueError(
-                "--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100"
-            )
+        check_numbers(args, command)
         if warning := tasks.untrained(env_cfg.task, command):
             print(f"play.py: {args.run}: {warning}", file=sys.stderr)
-        if not 0 <= args.port < 2**16:
-            raise ValueError(f"--port is {args.port}: it must be from 0 to 65535")
         if not args.web:
             check_drawing(args.gif)
-        steps = play(env, args.run, command, args.follow)
+        steps = play(env, args.run, command, args.follow, args.seed)
         if args.web:
             serve(env, steps, command, args.port, args.host, args.slow)
         elif args.gif is None:
             watch(env, steps, command, args.slow, args.forces)
         else:
-            save_gif(Path(args.gif), env, steps, args.seconds, command, args.slow, args.forces)
+            seen = args.seconds, command, args.slow, args.forces
+            if falls := save_gif(Path(args.gif), env, steps, *seen):
+                print(f"play.py: the robot falls {falls} times: try --seed", file=sys.stderr)
     except KeyboardInterrupt:
         return 130
     except (ImportError, AttributeError, mujoco.FatalError) as error:

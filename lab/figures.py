@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 import evaluate
 from lab import episodes, statistics, sweep
@@ -234,7 +235,7 @@ def table1(folders, args):
 
 def save(out, what, rows, figure):
     """Write what.csv and what.png into the folder out: both, or if that fails neither."""
-    text, image = io.StringIO(newline=""), io.BytesIO()
+    text, drawn, image = io.StringIO(newline=""), io.BytesIO(), io.BytesIO()
     writer = csv.DictWriter(
         text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n"
     )
@@ -242,7 +243,9 @@ def save(out, what, rows, figure):
     writer.writerows(
         {k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows
     )
-    figure.savefig(image, dpi=150, format="png")
+    figure.savefig(drawn, dpi=150, format="png")
+    colours = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+    colours.save(image, "PNG", optimize=True)  # a third of the size
 
     def write(file):  # the PNG takes its place once the CSV is written, and before it takes its own
         file.write(text.getvalue().encode())

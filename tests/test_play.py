@@ -144,12 +144,12 @@ def gifs(runs, tmp_path_factory):
 def test_a_gif_needs_no_display(gifs, task):
     """A step is 20 ms: 0.3 s are 15 steps, every third is drawn, so 5 frames of 60 ms."""
     with Image.open(gifs / f"{task}.gif") as gif:
-        assert (gif.n_frames, gif.size, gif.info["loop"]) == (5, (320, 216), 0)
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (5, (480, 270), 0)
         frames, durations = [], []
         for i in range(gif.n_frames):
             gif.seek(i)
             durations.append(gif.info["duration"])
-            frames.append(np.asarray(gif.convert("RGB"), int)[20:])  # without the caption
+            frames.append(np.asarray(gif.convert("RGB"), int)[30:])  # without the caption
     assert durations == [60] * 5
     assert all(frame.std(axis=(0, 1)).min() > 5 for frame in frames), "nothing but one colour"
     assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(frames)), (
@@ -242,10 +242,23 @@ class FakeRenderer(nullcontext):
         return self.rng.integers(256, size=self.shape, dtype=np.uint8)
 
 
+def test_a_gif_says_how_often_the_robot_fell(env, tmp_path, monkeypatch):
+    """0.2 s are ten steps, in the second and seventh of which it falls."""
+    monkeypatch.setattr(mujoco, "Renderer", FakeRenderer)
+    steps = [
+        dict(v_x=np.zeros(1), power=np.zeros(1), ended_fall=np.array([i in (1, 6)]))
+        for i in range(10)
+    ]
+    unseen = steps[:1] * 50  # a second
+    fell = play.save_gif(tmp_path / "a.gif", env, iter(unseen + steps), 0.2, np.zeros(3))
+    assert fell == 2
+
+
 def test_a_gif_is_replaced_in_one_step(env, tmp_path, monkeypatch):
     """A disk that fills up while it is written keeps the old one whole."""
     monkeypatch.setattr(mujoco, "Renderer", FakeRenderer)
     path, log = tmp_path / "a.gif", dict(v_x=np.zeros(1), power=np.zeros(1))
+    log["ended_fall"] = np.zeros(1, bool)
     path.write_bytes(b"before")
     with full_disk(10_000), pytest.raises(OSError):
         play.save_gif(path, env, itertools.repeat(log), 0.2, np.zeros(3))

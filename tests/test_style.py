@@ -59,7 +59,7 @@ LAYERS = {
     "lab/readings": {"jax"},
     "lab/claims": {"numpy", "scipy"},
     "lab/overview": {"numpy", "matplotlib"},
-    "lab/figures": {"numpy", "matplotlib"},
+    "lab/figures": {"numpy", "matplotlib", "PIL"},
     "lab/__main__": set(),
 }
 CORE = [
