@@ -89,7 +89,7 @@ def parse(name, argv):
     evaluate.add_flags(parser)
     args = parser.parse_intermixed_args(argv)
     evaluate.check_flags(args)
-    args.robot = args.model and adopt.read_robot(args.model)
+    args.robot = None if args.model is None else adopt.read_robot(args.model)
     args.world = adopt.world(args.robot) if args.robot else go1_env.Go1Env
     return args
 

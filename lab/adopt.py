@@ -191,6 +191,6 @@ def play(argv):
     parser = argparse.ArgumentParser(prog="lab play", add_help=False)
     parser.add_argument("--model")
     args, others = parser.parse_known_args(argv)
-    if not args.model:
+    if args.model is None:
         raise ValueError("play needs --model FILE.xml; without one it is play.py")
     return play.main(others, world(read_robot(args.model)))

@@ -50,6 +50,8 @@ def seeds(folders, args):
     axes = figure.subplots()
     for folder in map(Path, folders):
         columns, task = metrics.read(folder), run_folder.load_config(folder)[0].task
+        if not columns.keys() >= {"iteration", "steps", "reward", "time_s"}:
+            raise ValueError(f"{folder / 'metrics.csv'} has no rows, or not the columns of a run")
         times = {
             f"{unit}_{level}": x
             for level in LEVELS.get(task, ())

@@ -245,6 +245,7 @@ def test_a_model_that_does_not_exist_is_one_line(tmp_path, capsys):
     run_folder = make_run(tmp_path / "run")
     assert "none.xml" in error_of(capsys, main, "table", run_folder, "--model", "none.xml")
     assert "--model" in error_of(capsys, main, "play", run_folder)
+    assert "no model" in error_of(capsys, main, "table", run_folder, "--model", "")
 
 
 def test_the_laboratory_measures_and_plays_it(other, tmp_path, capfd, monkeypatch):

@@ -679,6 +679,13 @@ def test_seeds_says_when_a_reward_was_reached(runs, two_episodes):
     assert {again[name] for name in times_of} == {"nan"}
 
 
+@pytest.mark.parametrize("text", ["", "iteration,steps\n", "a,b\n1,2\n", "iteration\n1\n"])
+def test_metrics_without_rows_are_one_line(runs, capsys, text):
+    folder = Path(shutil.copytree(runs["flat"], "run"))
+    (folder / "metrics.csv").write_text(text)
+    assert "metrics.csv" in error_of(capsys, main, "seeds", folder, "--episodes", 11)
+
+
 # ---- the record: results/ ----
 
 
@@ -890,6 +897,7 @@ def test_whole_numbers_stand_for_floats_in_a_config(runs):
         dict(actor__0__W=np.full((91, 8), np.nan, np.float32)),
         dict(estimator__0__b=np.full(8, np.inf, np.float32)),
         dict(actor__0__W=np.full((91, 8), "x")),
+        dict(actor__0__W=np.full((91, 8), 1e300)),
         dict(actor__0__W=np.ones((91, 8), complex)),
         dict(config=np.array("[1]")),
         dict(config=np.array(7)),

@@ -571,6 +571,29 @@ def not_a_number(name):
     return damage
 
 
+def other_array(name, x):
+    """The same checkpoint with another array of this name."""
+    return lambda path: np.savez(path, **run_folder.read_npz(path) | {name: np.array(x)})
+
+
+def other_rng(**changes):
+    """The same checkpoint with other numbers in the state of an environment's generator."""
+
+    def damage(path):
+        arrays = run_folder.read_npz(path)
+        state = json.loads(str(arrays["env0.rng"]))
+        state |= {name: x for name, x in changes.items() if name in state}
+        state["state"] |= {name: x for name, x in changes.items() if name in state["state"]}
+        np.savez(path, **arrays | {"env0.rng": np.array(json.dumps(state))})
+
+    return damage
+
+
+def other_starts(path):
+    """A config.json whose starts are a number."""
+    path.write_text(json.dumps(json.loads(path.read_text()) | dict(starts=3)))
+
+
 def other_settings(text):
     """The same checkpoint with another text for its settings."""
     return lambda path: np.savez(path, **run_folder.read_npz(path) | dict(settings=np.array(text)))
@@ -597,8 +620,15 @@ def other_settings(text):
         ),
         *(
             ("checkpoint.npz", other_settings(text))
-            for text in ("7", "[", '{"env": 1}', '{"env": {"moons": 1}}')
+            for text in ("7", "[", '{"env": 1}', '{"env": {"moons": 1}}', '{"jax_threads": 2}')
         ),
+        *(("checkpoint.npz", not_a_number(name)) for name in ("env0.sim", "state.start[0]")),
+        *(("checkpoint.npz", other_array("env0.tile", [x] * 2)) for x in (-1, 16)),
+        *(("checkpoint.npz", other_array("env0.rng", x)) for x in ("[" * 5000, "7", "{")),
+        ("checkpoint.npz", other_rng(inc=2**200)),
+        ("checkpoint.npz", other_rng(inc=-1)),
+        ("checkpoint.npz", other_rng(uinteger=2**40)),
+        ("config.json", other_starts),
         ("config.json", lambda path: path.write_text("{")),
     ],
 )
