@@ -3,6 +3,9 @@ hand, run folders.
 """
 
 import resource
+import signal
+import subprocess
+import threading
 from contextlib import contextmanager
 
 import jax
@@ -166,6 +169,50 @@ def same_bits(a, b):
     return len(a) == len(b) and all(
         x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in zip(a, b, strict=True)
     )
+
+
+# ---- processes and signals ----
+
+# in which any process of a test must have ended; on two idle cores it takes less than 60
+SECONDS = 480
+
+
+@contextmanager
+def heard():
+    """Meanwhile no signal that a test sends is ignored, neither here nor in a process that is
+    started.
+
+    In the background of a shell script SIGINT is ignored, and under nohup SIGHUP: children inherit
+    that, and would go on for ever.
+    """
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    ignored = [n for n in numbers if signal.getsignal(n) == signal.SIG_IGN]
+    for number in ignored:  # a handler that does nothing; in a child it becomes the default
+        signal.signal(number, lambda *_: None)
+    try:
+        yield
+    finally:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def started(command, seconds=SECONDS, **options):
+    """A process with pipes, which hears signals. It is killed where the context ends or, so that
+    every wait for it has an end, after some seconds.
+    """
+    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with heard():
+        process = subprocess.Popen([str(x) for x in command], **pipes, **options)
+    late = threading.Timer(seconds, process.kill)
+    late.daemon = True
+    late.start()
+    with process:
+        try:
+            yield process
+        finally:
+            late.cancel()
+            process.kill()
 
 
 # ---- run folders and commands ----

@@ -3,12 +3,14 @@ robots adds up to.
 """
 
 import csv
+from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import error_of, make_run, same_bits
+from support import error_of, make, make_run, same_bits
 
 import energy
 import evaluate
@@ -233,6 +235,16 @@ def test_a_row_by_hand():
     assert row["stride_hz"] == pytest.approx(2.5, abs=0.03)
     assert [row[x] for x in ("stride_hz_sd", "v_x_sd", "duty_sd")] == pytest.approx([0, 0, 0])
     assert row["flight"] == pytest.approx(0.2)  # two stances of 0.4, half a stride apart
+
+
+def test_the_weight_is_that_of_the_robot_with_its_payload(monkeypatch):
+    """200 J/m by the weight of the robot in go1.xml and of 3 kg on it, at 9.81 m/s^2."""
+    env = make(4, payload=(3.0, 3.0))
+    mass = mujoco.MjModel.from_xml_path(str(go1.MODEL)).body_mass.sum()
+    monkeypatch.setattr(gait, "played", lambda *_: [(Path("run"), 0.5, env, fake_record())])
+    ((row,), _) = gait.gait(None, None)
+    assert 10 < mass < 15 and row["energy"] == 200
+    assert row["cost_of_transport"] == pytest.approx(200 / ((mass + 3) * 9.81), rel=1e-12)
 
 
 def test_robots_that_fell_do_not_count():

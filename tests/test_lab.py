@@ -278,6 +278,25 @@ def test_table1_by_hand(runs, scripted, unsaved):
     )
 
 
+def test_table1_is_drawn_from_interquartile_means(runs, scripted, unsaved, monkeypatch):
+    """D26. Peaks 0 ... 6 and 1000: the middle half 2, 3, 4, 5 has the mean 3.5. The mean of all is
+    (21 + 1000) / 8 = 127.625. The paper's 2.86 is drawn as it is.
+    """
+    play = evaluate.run_episodes
+
+    def run_episodes(*args):
+        episodes = play(*args)
+        peak = np.where(episodes.performance == 7, 1000.0, episodes.performance)
+        return episodes._replace(peak=peak)
+
+    monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
+    run("table1", runs["velocity"], "--episodes", 8)
+    (((row,), figure),) = unsaved
+    assert (row["peak"], row["peak_mean"]) == (3.5, 127.625)
+    drawn = [bars.lines[0].get_xdata().tolist() for bars in figure.axes[0].containers]
+    assert drawn == [[3.5], [2.86]]
+
+
 def test_one_kind_with_two_numbers_of_robots_is_two_rows(runs, scripted, unsaved, tmp_path):
     """EIPO with 2N robots gives each policy as many as PPO with N has. The paper's number stands
     beside both.

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 import jax
 import numpy as np
 import pytest
-from support import ROOT, TINY, error_of
+from support import ROOT, SECONDS, TINY, error_of
 
 import ppo
 import train
@@ -32,8 +32,6 @@ FLAGS = [
     "curriculum",
     "--iterations",
 ]
-# in which any process of a test must have ended; on two idle cores it takes less than 60
-SECONDS = 480
 ONE_BATCH = Config(
     num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_estimator=(8,), mirror=False
 )
@@ -141,11 +139,15 @@ def ended(processes, seconds=SECONDS):
 
 
 def wait_for_rows(folder, processes, rows):
-    """Until metrics.csv has so many."""
+    """Until metrics.csv has so many. If it never has, the processes are killed."""
     table, end = folder / "metrics.csv", time.monotonic() + SECONDS
-    while not table.exists() or table.read_text().count("\n") <= rows:
-        assert time.monotonic() < end and all(process.poll() is None for process in processes)
-        time.sleep(0.002)
+    with ExitStack() as stack:
+        for process in processes:
+            stack.callback(process.kill)
+        while not table.exists() or table.read_text().count("\n") <= rows:
+            assert time.monotonic() < end and all(process.poll() is None for process in processes)
+            time.sleep(0.002)
+        stack.pop_all()
 
 
 @pytest.fixture(scope="module")

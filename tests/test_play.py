@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import DAMAGES, ROOT, contents, error_of, full_disk, make_run
+from support import DAMAGES, ROOT, contents, error_of, full_disk, make_run, started
 
 import go1
 import go1_env
@@ -559,21 +559,11 @@ def test_the_viewer_runs_until_ctrl_c(runs):
         try:
             display = HEADLESS | dict(DISPLAY=f":{server.stdout.readline().strip()}")
             command = [sys.executable, "-c", LOUD, runs["velocity"]]
-            with subprocess.Popen(
-                command,
-                cwd=ROOT,
-                env=display,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            ) as viewer:
+            with started(command, cwd=ROOT, env=display) as viewer:
                 shown = [viewer.stdout.readline() for _ in range(10)]
                 running = viewer.poll() is None
                 viewer.send_signal(signal.SIGINT)
-                try:
-                    stdout, stderr = viewer.communicate(timeout=20)
-                finally:
-                    viewer.kill()
+                stdout, stderr = viewer.communicate(timeout=20)
         finally:
             server.terminate()
     assert shown == ["shown\n"] * 10 and running

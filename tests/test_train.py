@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
-from support import DAMAGES, ROOT, TINY, contents, error_of
+from support import DAMAGES, ROOT, SECONDS, TINY, contents, error_of, heard, started
 
 import eipo
 import evaluate
@@ -48,15 +49,21 @@ def finished(tmp_path_factory):
     return folder
 
 
-def start(*argv, **variables):
-    """Start train.py as a process of its own, with these environment variables; returns it."""
-    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    return subprocess.Popen(
-        [sys.executable, ROOT / "train.py", *map(str, argv)], env=os.environ | variables, **pipes
-    )
+@pytest.fixture
+def start():
+    """Starts train.py as a process of its own, with these flags and environment variables; returns
+    it. It does not outlive the test.
+    """
+    with ExitStack() as stack:
+
+        def start(*argv, **variables):
+            command = [sys.executable, ROOT / "train.py", *argv]
+            return stack.enter_context(started(command, env=os.environ | variables))
+
+        yield start
 
 
-def start_and_wait(folder, iterations=20, until=5):
+def start_and_wait(start, folder, iterations=20, until=5):
     """Start the same run as a process of its own; returns it when metrics.csv holds `until`
     iterations.
     """
@@ -125,7 +132,7 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
         "--out",
         "mine",
     ]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=SECONDS)
     assert (done.returncode, done.stderr) == (0, "")
     assert set(contents(tmp_path / "mine")) == {
         "config.json",
@@ -157,9 +164,9 @@ def test_equal_seeds_equal_runs_with_any_number_of_threads(finished, tmp_path):
     assert rows(tmp_path / "other")[3] != rows(finished)[3]
 
 
-def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_path, capsys):
+def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, start, tmp_path, capsys):
     """While the process lives, nobody else can train in its folder; kill -9 frees it."""
-    process = start_and_wait(tmp_path)
+    process = start_and_wait(start, tmp_path)
     process.send_signal(signal.SIGSTOP)
     before = contents(tmp_path)
     for flags in ["--resume"], FLAGS:
@@ -174,8 +181,8 @@ def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, tmp_pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path, number):
-    process = start_and_wait(tmp_path)
+def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, start, tmp_path, number):
+    process = start_and_wait(start, tmp_path)
     process.send_signal(number)
     said, complaints = process.communicate()
     assert (process.returncode, complaints) == (130, "")
@@ -187,11 +194,11 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path, nu
     assert rows(tmp_path) == rows(finished)
 
 
-def test_a_closed_terminal_saves(finished, tmp_path):
+def test_a_closed_terminal_saves(finished, start, tmp_path):
     """SIGHUP, when nobody reads any more what is printed. The same is true when Ctrl-C ends `tee`
     as well.
     """
-    process = start_and_wait(tmp_path)
+    process = start_and_wait(start, tmp_path)
     process.stdout.close(), process.stderr.close()
     process.send_signal(signal.SIGHUP)
     assert process.wait() == 130
@@ -200,7 +207,7 @@ def test_a_closed_terminal_saves(finished, tmp_path):
     assert rows(tmp_path) == rows(finished)
 
 
-def test_ctrl_c_while_jax_compiles_ends_in_one_line(tmp_path):
+def test_ctrl_c_while_jax_compiles_ends_in_one_line(start, tmp_path):
     """There is nothing to save, so there is nothing to wait for. An empty cache makes JAX
     compile.
     """
@@ -214,7 +221,7 @@ def test_ctrl_c_while_jax_compiles_ends_in_one_line(tmp_path):
     assert set(contents(tmp_path / "run")) == {"config.json", "lock"}
 
 
-def test_ctrl_c_while_python_imports_ends_in_one_line(tmp_path):
+def test_ctrl_c_while_python_imports_ends_in_one_line(start, tmp_path):
     """Twice, and before there is anything to stop."""
     (tmp_path / "jax.py").write_text(
         "import os, signal\nfor _ in range(2): os.kill(os.getpid(), signal.SIGINT)\n"
@@ -222,6 +229,24 @@ def test_ctrl_c_while_python_imports_ends_in_one_line(tmp_path):
     process = start(*FLAGS, "--out", tmp_path / "run", PYTHONPATH=str(tmp_path))
     said = process.communicate()
     assert (process.returncode, *said) == (130, "", "Stopped at once: no training was under way\n")
+
+
+def test_a_process_of_a_test_hears_ctrl_c_and_does_not_outlive_the_test():
+    """In the background of a shell script SIGINT is ignored here. One process is killed where the
+    context ends, the other when it is late, for whoever waits for it.
+    """
+    code = "import signal, time; print(signal.getsignal(signal.SIGINT), flush=True); time.sleep(60)"
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with started([sys.executable, "-c", code]) as one:
+            assert "default_int_handler" in one.stdout.readline()
+        with started([sys.executable, "-c", code], seconds=0.1) as late:
+            late.communicate()
+            assert late.returncode == -signal.SIGKILL
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert one.returncode == -signal.SIGKILL
 
 
 def wait_for(condition):
@@ -241,7 +266,7 @@ def test_ctrl_c_twice_stops_at_once_and_promises_no_checkpoint_that_is_not_there
     (tmp_path / file).touch()
     ends = []
     monkeypatch.setattr(interrupt, "stop_at_once", ends.append)
-    with interrupt.stop_at_boundary(tmp_path) as stop:
+    with heard(), interrupt.stop_at_boundary(tmp_path) as stop:
         stop.worth_saving = True
         os.kill(os.getpid(), signal.SIGINT)
         wait_for(lambda: stop.asked)
@@ -428,7 +453,7 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, given, began
 @pytest.mark.skipif(
     go1_env.CORES < 2 or not hasattr(os, "sched_setaffinity"), reason="needs two cores"
 )
-def test_the_number_of_cores_changes_no_bit(tmp_path, monkeypatch):
+def test_the_number_of_cores_changes_no_bit(start, tmp_path, monkeypatch):
     """Begun on two cores, resumed on two and on one. With a product per thread the last digit of kl
     would differ.
     """

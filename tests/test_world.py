@@ -499,6 +499,31 @@ def test_power_limit(limit, ends):
     assert not truncated.any() and not info["log"]["ended_fall"].any()
 
 
+@pytest.mark.parametrize(("limit", "ends"), [(42.0, False), (np.nextafter(42.0, 0.0), True)])
+def test_power_of_exactly_the_limit_ends_nothing(limit, ends):
+    """IV-A.4. A robot at rest draws the 42 W of its electronics, to the bit. More than the limit
+    ends an episode, the limit itself does not.
+    """
+    _, _, terminated, _, info = still(quiet(max_power=limit))
+    assert info["log"]["power"].tolist() == [42.0] * 2
+    assert terminated.tolist() == info["log"]["ended_power"].tolist() == [ends] * 2
+
+
+@pytest.mark.parametrize(("limit", "ends"), [(130.0, False), (125.0, True)])
+def test_power_limit_is_of_the_control_step(limit, ends):
+    """D17. Six physics steps late, 5 N m come in the last two of the second control step's four:
+    twice 42 W, twice 42 + 0.7 * 25 * (8 + 4 * 4 / 9) = 213 W, 127.6 W in the mean.
+
+    A limit of 130 W, which the last two exceed by far, lets it pass; one of 125 W does not.
+    """
+    env = quiet(latency=6, max_power=limit)
+    assert not env.step(QUARTER)[2].any()
+    _, _, terminated, _, info = env.step(QUARTER)
+    mean = 42 + 0.7 * 25 * (8 + 16 / 9) / 2
+    assert info["log"]["power"] == pytest.approx([mean] * 2, abs=1e-3)
+    assert terminated.tolist() == info["log"]["ended_power"].tolist() == [ends] * 2
+
+
 def test_a_touch_in_one_physics_step_of_four_is_a_fall():
     """D36. Robot 0's trunk touches the ground in the first one alone. Feet that were up for long
     start anew with it.
@@ -512,20 +537,25 @@ def test_a_touch_in_one_physics_step_of_four_is_a_fall():
     assert env.state.off_ground.tolist() == [[1] * 4, [8] * 4]
 
 
-def test_the_curriculum_counts_speed_over_ground():
-    """D25. Nose up by 60 degrees, 1 m/s ahead as asked: a success. The trunk's v_x of 1/2 would
-    count 1 / e < 0.8.
+@pytest.mark.parametrize(
+    ("frame", "asked", "after"),
+    [("heading", 1.0, 1.0), ("heading", 0.5, 0.25), ("body", 0.5, 1.0), ("body", 1.0, 0.25)],
+)
+def test_the_curriculum_counts_the_speed_of_the_reward(frame, asked, after):
+    """D25. Nose up by 60 degrees, 1 m/s over ground, of which the trunk's v_x is 1/2. Asked for as
+    much, in the frame of the reward, both robots succeed: 1/4 + 2 * 0.4 is at most 1. An error of
+    1/2 counts 1 / e < 0.8.
     """
-    env = quiet(command_steps=1)
+    env = quiet(command_steps=1, frame=frame)
     place(env, quaternion=(cos(pi / 6), 0, -sin(pi / 6), 0), velocity=(1, 0, 0))
     env.state.command_weights[:], env.state.cell[:], env.state.command[:] = (
         0.0,
         [2, 19],
-        (1.0, 0.0, 0.0),
+        (asked, 0.0, 0.0),
     )
     env.state.command_weights[2, 19] = 0.25
     still(env)
-    assert env.state.command_weights[2, 19] == 1
+    assert env.state.command_weights[2, 19] == after
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,33 @@ def test_rollout_bootstraps_from_the_final_observation():
     assert log["ended"] == tau.truncated.sum() == 28 and log["reward"] == 0
 
 
+class Overtime(Probe):
+    """A Probe whose final observation shows the time `length`, at which no step begins."""
+
+    def step(self, action):
+        *result, info = super().step(action)
+        info["final_obs"][:, 1] += 1
+        info["final_privileged"] += 1
+        return *result, info
+
+
+def test_rollout_bootstraps_from_where_the_last_step_led():
+    """Episodes of 2 steps lead to t = 1 and, at the time limit, to t = 2, before the next one's 0.
+    gamma = 1/2, r = 0.
+
+    V = 3 t: 0 + 3/2 - 0 = 3/2; final, 6/2 - 3 = 0; 3/2 again. From the observation with which the
+    last step began it would be 3/2 - 3.
+    """
+    tau, _, _, cfg = roll(
+        Overtime(lambda x, t, a: 0 * x, length=2, truncates=True), known(1), gae_lambda=0.0
+    )
+    own = tau.obs[1, :, 0]  # x of the episodes that end
+    assert tau.final[0].tolist() == [[x, 2] for x in own]
+    assert tau.final[1].tolist() == [[x + 2] for x in own]
+    advantage = np.asarray(eipo.estimate(known(1), tau, cfg).advantage)
+    assert (advantage[..., 0] == [[1.5], [0], [1.5]]).all()
+
+
 def test_rollout_a_fall_has_no_final_observation():
     tau, *_ = roll(Probe(one, length=2), known(2))
     assert tau.terminated.all(1).tolist() == [False, True, False] and not tau.truncated.any()
@@ -282,6 +309,21 @@ def test_algorithm1_alpha_at_the_start(monkeypatch, changes, alpha):
     """1 / lam = 4, unless alpha0 says otherwise; no energy term is an infinite alpha."""
     monkeypatch.setattr(eipo, "init_learner", lambda *_: None)
     assert eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual == Dual(alpha, 0)
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+def test_algorithm1_both_policies_have_the_mirror_of_the_robot(monkeypatch, mirror):
+    """D28. Unless it is told not to, and where the robot has one."""
+    monkeypatch.setattr(eipo, "init_learner", lambda key, sizes, mirror, *_: mirror)
+    env, env_prime = Probe(one), Probe(one)
+    env.mirror = dict(obs=((0, 1), (-1, 1)), privileged=((0,), (1,)), action=((0,), (-1,)))
+    env_prime.mirror = env.mirror | dict(action=((0,), (1,)))
+    state = eipo.init_state(env, env_prime, replace(EIPO, mirror=mirror))
+    of_env = networks.Mirror(((0, 1), (-1, 1)), ((0,), (1,)), ((0,), (-1,)))
+    of_env_prime = networks.Mirror(((0, 1), (-1, 1)), ((0,), (1,)), ((0,), (1,)))
+    expected = (of_env, of_env_prime) if mirror else (None, None)
+    assert (state.pi, state.pi_prime) == expected
+    assert eipo.init_state(Probe(one), None, replace(EIPO, mirror=mirror)).pi is None
 
 
 def test_algorithm1_another_key_is_other_luck(with_effort):

@@ -153,7 +153,7 @@ def test_velocity_over_ground(frame, expected):
 @pytest.mark.parametrize(("frame", "value"), [("heading", 1.5), ("body", E1 + 0.5)])
 def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
     """Nose up by 60 degrees, 1 m/s over ground, as asked: Eq. (5) gives 1.5. In the body frame v_x
-    is cos 60 = 1/2.
+    is cos 60 = 1/2. The log has the speed over ground, whatever the reward is of.
     """
     env = make(1, frame=frame, **FROZEN)
     place(
@@ -162,7 +162,9 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
         velocity=(1, 0, 0),
     )
     env.state.command[:] = 1.0, 0.0, 0.0
-    assert still(env)[1] == pytest.approx([value], abs=1e-4)
+    _, reward, _, _, info = still(env)
+    assert reward == pytest.approx([value], abs=1e-4)
+    assert info["log"]["v_x"] == pytest.approx([1.0], abs=1e-6)
 
 
 @pytest.mark.parametrize(

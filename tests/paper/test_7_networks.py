@@ -341,13 +341,35 @@ def test_ppo_loss():
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
 
 
+def test_ppo_loss_sums_over_outputs_and_averages_over_samples():
+    """Two heads say V = (1, 1): targets (3, 2) cost 4 + 1 = 5, targets (1, 1) nothing: 5/2 a
+    sample.
+
+    The estimate is (0, 0, 0): truths (1, 1/2, 2) cost 1 + 1/4 + 4 = 21/4, truths (0, 0, 0) nothing,
+    21/8 a sample. At A = 0 only the entropy is beside them: 5/2 + 21/8 - 0.01 * 1.4189385.
+    """
+    heads, none = [[1.0, 1.0], *[[0.0, 0.0]] * 3], [[0.0]] * 4
+    params = handmade(critic=heads, estimator=[[0.0] * 3], actor=none)
+    batch = dict(
+        obs=jnp.ones((2, 1)),
+        privileged=jnp.array([[1.0, 0.5, 2.0], [0.0, 0.0, 0.0]]),
+        action=jnp.zeros((2, 1)),
+        target=jnp.array([[3.0, 2.0], [1.0, 1.0]]),
+        advantage=jnp.zeros(2),
+        log_prob=jnp.full(2, -0.91893853),  # of a normal at its mean
+    )
+    loss, log = ppo.ppo_loss(params, batch, EIPO)
+    assert (log["value_loss"], log["estimator_loss"]) == (5 / 2, 21 / 8)
+    assert float(loss) == pytest.approx(5 / 2 + 21 / 8 - 0.014189385, rel=1e-6)
+
+
 def advantages(seed):
     return dyadic(np.random.default_rng(seed), 8, 16)
 
 
 def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
-    """One ppo_update of a new learner, always the same but for `changes` of target, advantage or
-    obs.
+    """One ppo_update of a new learner, always the same but for `changes` of target, advantage, obs
+    or likelier: by which factor (8, 16) the actions are likelier than when they were taken.
 
     returns params, log, params before
     """
@@ -361,6 +383,9 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
     estimate = eipo.estimate(learner.params, tau, EIPO)._replace(
         target=changes.get("target", target)
     )
+    if "likelier" in changes:
+        then = estimate.log_prob - np.log(changes["likelier"])
+        estimate = estimate._replace(log_prob=then.astype(np.float32))
     tau = tau._replace(obs=changes.get("obs", obs))
     before = jax.tree.map(np.array, learner.params)
     learner, log = ppo.ppo_update(
@@ -467,6 +492,20 @@ def test_lr_is_the_learner_s_and_adapts_after_the_update():
     assert trees_equal(params, before) and log["next_lr"] == 0
     log = one_update(lr=1e-5, cfg=replace(EIPO, target_kl=1 / 64))[1]
     assert (float(log["lr"]), float(log["next_lr"])) == pytest.approx((1e-5, 1.5e-5))
+
+
+def test_lr_follows_the_mean_kl_of_the_minibatches():
+    """One action of 128 is 6 times likelier by now: 6 - 1 - log 6 = 3.208 in a minibatch of 64,
+    0.0501, and 0 in the other one; it meets either by chance. Their mean is 0.0251.
+
+    Twice the target of 1/64 is 0.0313, half of it 0.0078: by the mean lr stays; by the greatest it
+    would be 2e-5, by the least or the last 4.5e-5. With lr = 3e-5 the policy hardly moves.
+    """
+    likelier = np.ones((8, 16), np.float32)
+    likelier[1, 2] = 6
+    log = one_update(lr=3e-5, cfg=replace(EIPO, target_kl=1 / 64), likelier=likelier)[1]
+    assert float(log["kl"]) == pytest.approx(0.0251, abs=5e-4)
+    assert float(log["next_lr"]) == pytest.approx(3e-5)
 
 
 def test_ppo_skips_a_minibatch_that_is_not_finite():

@@ -81,12 +81,15 @@ def test_velocity_power_energy_and_attitude_are_of_the_first_episode(episodes):
     ]
 
 
-def test_energy_per_metre_needs_a_robot_that_moves(monkeypatch):
+@pytest.mark.parametrize(("v_x", "energy"), [(1 / 16, 384), (3 / 64, np.nan), (-1.0, np.nan)])
+def test_energy_per_metre_needs_a_robot_that_moves_ahead(monkeypatch, v_x, energy):
     """D27. Robot 2 stands at 3/64 = 0.047 m/s, and moves at 1/16 = 0.0625 m/s: 24 W / (1/16 m/s) =
-    384 J/m.
+    384 J/m. At 1 m/s backwards it is slower than any: -24 J/m would make the mean of the others
+    less.
     """
-    monkeypatch.setattr(Scripted, "slow", 1 / 16)
-    assert evaluate.run_episodes(lambda obs: obs, Scripted()).energy[2] == 384
+    monkeypatch.setattr(Scripted, "slow", v_x)
+    seen = evaluate.run_episodes(lambda obs: obs, Scripted()).energy[2]
+    assert np.array_equal(seen, energy, equal_nan=True)
 
 
 def test_late_and_peak_velocity(episodes):
@@ -97,6 +100,39 @@ def test_late_and_peak_velocity(episodes):
     assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 3 / 64] and np.isnan(episodes.v_x_late[1])
     assert episodes.peak.tolist() == [20.0, 2.0, 3 / 64]
     assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 3 / 64]
+
+
+class Ending(Scripted):
+    """Robots that lose 1 m/s in each step, v_x is 0, -1, -2, ... m/s. In step 10 robot 1 falls, and
+    the time of robot 2 is up. In their next episode v_x and reward are 64.
+    """
+
+    def step(self, action):
+        obs, _, _, _, info = super().step(action)
+        over = np.array([False, self.t > 10, self.t > 10])
+        log = info["log"] | dict(v_x=np.where(over, 64.0, 1.0 - self.t))
+        terminated = np.array([False, self.t == 10, False])
+        truncated = np.array([self.t == 20, False, self.t == 10])
+        return obs, np.where(over, 64.0, 0.5), terminated, truncated, dict(log=log)
+
+
+def test_an_episode_ends_with_the_step_of_its_time_limit():
+    """Robots 1 and 2 have 10 steps of 0.5 by a limit of 20: 0.25. Only robot 1 fell. Their mean is
+    (0 - 1 - ... - 9) / 10 = -4.5 m/s, that of robot 0 (0 - 1 - ... - 19) / 20 = -9.5.
+    """
+    seen = evaluate.run_episodes(lambda obs: obs, Ending())
+    assert seen.performance.tolist() == [0.5, 0.25, 0.25]
+    assert seen.fell.tolist() == [False, True, False]
+    assert seen.v_x.tolist() == [-9.5, -4.5, -4.5] and seen.peak.tolist() == [0.0] * 3
+
+
+def test_sustained_peak_is_of_ten_whole_steps():
+    """D18. The first ten steps are the fastest, and robots 1 and 2 have no more: 0, -1, ... -9 m/s
+    have the mean -4.5. Of nine it would be -4, with a 0 for the tenth -3.6, and from step 11 on
+    -5.5.
+    """
+    seen = evaluate.run_episodes(lambda obs: obs, Ending())
+    assert seen.peak_sustained.tolist() == [-4.5] * 3
 
 
 def test_the_policy_that_is_measured_has_no_noise():
@@ -168,6 +204,20 @@ def test_summarise_by_hand():
     assert row["x"] == row["x_mean"] == 3.5 and row["x_n"] == 8
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
     assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
+
+
+@pytest.mark.parametrize(("statistic", "high"), [(np.mean, 3), (statistics.iqm, 2)])
+def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(statistic, high):
+    """Three seeds have five episodes of 0 each; of the fourth's only one is finite, 8. All of four
+    draws are this seed by a chance of 1/256 = 0.4 %, three or more by 13/256 = 5.1 %, none by 32 %.
+
+    So the interval of 95 % ends at none, 0, and at three: 8, 8, 8 and five 0. Their mean is 3, and
+    that of their middle half, 0, 0, 0, 8, is 2. The means of the four seeds have the mean 6 and the
+    IQM 8.
+    """
+    alone = np.array([8.0, np.nan, np.nan, np.nan, np.nan])
+    row = statistics.summarise("x", [np.zeros(5), alone, np.zeros(5), np.zeros(5)], statistic)
+    assert (row["x_seeds_low"], row["x_seeds_high"]) == (0, high)
 
 
 def test_summarise_without_an_interval():
