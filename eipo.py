@@ -64,7 +64,7 @@ class Dual(NamedTuple):
     """The multiplier and its momentum."""
 
     alpha: float
-    momentum: float  # the sum of past gradients, see `step_alpha`
+    momentum: float  # the decaying sum of past gradients, see `step_alpha`
 
 
 class State(NamedTuple):
@@ -184,7 +184,8 @@ def init_state(env, env_prime, cfg):
     def begin(env, key, heads, seed):
         obs, info = env.reset(seed)
         sizes = env.obs_size, env.privileged_size, env.action_size
-        mirror = Mirror(**env.mirror) if cfg.mirror and env.mirror else None
+        symmetry = getattr(env, "mirror", None)
+        mirror = Mirror(**symmetry) if cfg.mirror and symmetry else None
         return init_learner(key, sizes, mirror, heads, cfg), (obs, info["privileged"])
 
     key, key_prime = jax.random.split(jax.random.fold_in(base, 0))

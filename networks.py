@@ -81,6 +81,8 @@ def reflect(x, mirror):
 def even_odd(x, mirror):
     """The even and the odd coordinates of x (..., n): (x + M x) / sqrt 2 and (x - M x) / sqrt 2.
 
+    An entry that M maps onto itself, or onto its negative, is its own coordinate.
+
     mirror: (index, sign), or None: then all coordinates are even
     """
     if mirror is None:
@@ -208,7 +210,7 @@ def sample(params, obs, key):
     noise = jax.random.normal(key, mean.shape)
     mirror = of(params, "action")
     even, odd = jnp.split(noise, [widths(mean.shape[-1], mirror)[0]], -1)
-    return mean + std * joined(even, odd, mirror)  # which is normal as well: `joined` is a rotation
+    return mean + std * joined(even, odd, mirror)  # which is normal as well: `joined` is orthogonal
 
 
 @jax.jit

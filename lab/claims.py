@@ -35,17 +35,17 @@ Fig. 3b | EIPO needs less energy than PPO(0.005) | J/m
         rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0.005
 Fig. 3b | EIPO needs less energy than PPO(0) | J/m
         rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0
-Fig. 4 | EIPO performs better than every PPO, so than PPO(0.001) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.001
+Fig. 4 | EIPO performs better than every PPO, so than PPO(0.002) | performance
+        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.002
 Table I | EIPO peaks above PPO(0) | peak
         velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0
 Table I | EIPO peaks above PPO(0.0002) | peak
         velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0002
 Table I | EIPO peaks above PPO(0.01) | peak
         velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.01
-Table I | PPO(0) peaks above PPO(0.0002) | peak
-        velocity/velocity-ppo-lam0 > velocity/velocity-ppo-lam0.0002
-Section I | lambda needs no tuning: EIPO from 0.01 peaks above PPO(0.01) | peak
+Table I | EIPO peaks above PPO(0.0001) | peak
+        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0001
+Section I | no lambda_0 is too large: EIPO from 0.01 peaks above PPO(0.01) | peak
         velocity/binding1000-eipo-lam0.01 > velocity/velocity-ppo-lam0.01
 Fig. 5 | EIPO draws no more than the shaped reward | power
         curriculum/curriculum-eipo-lam0.005 < curriculum/curriculum-ppo-lam0-shaped
@@ -95,7 +95,7 @@ def peak(e):
 
 
 NUMBERS = {
-    "performance": (performance, "", 3),
+    "performance": (performance, "", 4),
     "power": (power, " W", 0),
     "J/m": (energy, " J/m", 0),
     "peak": (peak, " m/s", 2),
