@@ -327,7 +327,7 @@ def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, line, tmp_
         ROOT / "README.md",
     ]:
         shutil.copy(path, copy)
-    for folder in ("runtime", "studies", "tests"):
+    for folder in ("runtime", "lab", "tests"):
         shutil.copytree(ROOT / folder, copy / folder)
     (home,) = (str(path.relative_to(ROOT)) for path in TESTS if f"def {test}(" in path.read_text())
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", home, "-k", test]

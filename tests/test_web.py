@@ -14,7 +14,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from PIL import Image
-from support import ROOT, error_of, make_run
+from support import ROOT, error_of, heard, make_run
 
 import play
 
@@ -28,7 +28,7 @@ def server(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     argv = ["play.py", "results/flat", "--web", "--port", str(port), "--command", "0.6", "0", "0"]
-    with open(tmp_path / "said", "w") as said:
+    with open(tmp_path / "said", "w") as said, heard():
         process = subprocess.Popen([sys.executable, *argv], cwd=ROOT, stdout=said, stderr=said)
     try:
         wait_for(lambda: answers(port))
