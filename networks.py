@@ -180,7 +180,7 @@ def mlp(layers, even, odd):
     return even @ last.even + last.bias, odd @ last.odd
 
 
-def of(params, space):
+def mirror_of(params, space):
     """The mirror of a space, "obs", "privileged" or "action", or None of plain MLPs."""
     return getattr(params.get("mirror"), space, None)
 
@@ -191,24 +191,28 @@ def policy(params, obs):
 
     The actor sees the estimate, but the estimator learns from its own error alone.
     """
-    obs = even_odd(obs, of(params, "obs"))
+    obs = even_odd(obs, mirror_of(params, "obs"))
     estimate = mlp(params["estimator"], *obs)
     seen = [
         jnp.concatenate(parts, -1)
         for parts in zip(obs, jax.lax.stop_gradient(estimate), strict=True)
     ]
-    mirror = of(params, "action")
+    mirror = mirror_of(params, "action")
     mean = joined(*mlp(params["actor"]["layers"], *seen), mirror)
     std = jnp.exp(params["actor"]["log_std"])
     std = std if mirror is None else std[pairs(mirror)[3]]  # right and left are equally noisy
-    return mean, jnp.broadcast_to(std, mean.shape), joined(*estimate, of(params, "privileged"))
+    return (
+        mean,
+        jnp.broadcast_to(std, mean.shape),
+        joined(*estimate, mirror_of(params, "privileged")),
+    )
 
 
 def sample(params, obs, key):
     """Random actions (N, A) of the policy for obs (N, D)."""
     mean, std, _ = policy(params, obs)
     noise = jax.random.normal(key, mean.shape)
-    mirror = of(params, "action")
+    mirror = mirror_of(params, "action")
     even, odd = jnp.split(noise, [widths(mean.shape[-1], mirror)[0]], -1)
     return mean + std * joined(even, odd, mirror)  # which is normal as well: `joined` is orthogonal
 
@@ -219,8 +223,8 @@ def value(params, obs, privileged):
 
     A mirrored state has the same value.
     """
-    obs = even_odd(obs, of(params, "obs"))
-    privileged = even_odd(privileged, of(params, "privileged"))
+    obs = even_odd(obs, mirror_of(params, "obs"))
+    privileged = even_odd(privileged, mirror_of(params, "privileged"))
     seen = (jnp.concatenate(parts, -1) for parts in zip(obs, privileged, strict=True))
     return mlp(params["critic"], *seen)[0]
 

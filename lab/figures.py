@@ -1,6 +1,5 @@
 """The paper's Figures 2 to 6 and Table I from our own runs, in the simulator that trained them."""
 
-import csv
 import io
 from pathlib import Path
 
@@ -9,7 +8,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import evaluate
-from lab import episodes, statistics, sweep
+from lab import episodes, record, statistics, sweep
 from runtime import run_folder
 
 TABLE1 = dict(
@@ -235,20 +234,14 @@ def table1(folders, args):
 
 def save(out, what, rows, figure):
     """Write what.csv and what.png into the folder out: both, or if that fails neither."""
-    text, drawn, image = io.StringIO(newline=""), io.BytesIO(), io.BytesIO()
-    writer = csv.DictWriter(
-        text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n"
-    )
-    writer.writeheader()
-    writer.writerows(
-        {k: f"{x:.5g}" if isinstance(x, float) else x for k, x in row.items()} for row in rows
-    )
+    rounded = ({k: f"{x:.5g}" if isinstance(x, float) else x for k, x in r.items()} for r in rows)
+    table, drawn, image = record.as_csv([*rounded]), io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, dpi=150, format="png")
     colours = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
     colours.save(image, "PNG", optimize=True)  # a third of the size
 
     def write(file):  # the PNG takes its place once the CSV is written, and before it takes its own
-        file.write(text.getvalue().encode())
+        file.write(table)
         file.flush()
         run_folder.replace_file(out / f"{what}.png", lambda png: png.write(image.getvalue()))
 

@@ -49,14 +49,19 @@ def read(path):
         raise ValueError(f"{path} is damaged: {error}") from None
 
 
-def write(path, rows):
-    """Write rows as a CSV file, with the columns of all of them in the order of their coming."""
+def as_csv(rows):
+    """The bytes of a CSV of rows, with the columns of all of them in the order of their coming."""
     text = io.StringIO(newline="")
     columns = dict.fromkeys(name for row in rows for name in row)
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    data = text.getvalue().encode()
+    return text.getvalue().encode()
+
+
+def write(path, rows):
+    """Write rows as a CSV file, compressed if its name says so."""
+    data = as_csv(rows)
     data = gzip.compress(data, mtime=0) if path.suffix == ".gz" else data
     run_folder.replace_file(path, lambda file: file.write(data))
 

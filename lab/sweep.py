@@ -76,18 +76,11 @@ def kind(env_cfg, cfg):
     or reward.
     """
     usual = eipo.Config(**tasks.TASKS[env_cfg.task].learner)
-    name = (
-        f"PPO({cfg.lam:g})"
-        if cfg.algo == "ppo"
-        else "EIPO"
-        if cfg.lam == usual.lam
-        else f"EIPO from {cfg.lam:g}"
-    )
-    name += (
-        f" at eta_alpha {cfg.lr_alpha:g}"
-        if cfg.algo == "eipo" and cfg.lr_alpha != usual.lr_alpha
-        else ""
-    )
+    if cfg.algo == "ppo":
+        name = f"PPO({cfg.lam:g})"
+    else:
+        name = "EIPO" + f" from {cfg.lam:g}" * (cfg.lam != usual.lam)
+        name += f" at eta_alpha {cfg.lr_alpha:g}" * (cfg.lr_alpha != usual.lr_alpha)
     return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
 
 
