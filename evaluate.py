@@ -28,7 +28,7 @@ from runtime.flags import check_world
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
-SLOW = 0.05  # m/s, below which a robot has no energy per velocity
+SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
 FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
@@ -43,7 +43,6 @@ class Episodes(NamedTuple):
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     v_x_late: np.ndarray  # [m/s] the same in the second half; NaN if the episode ended before it
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
-    energy: np.ndarray  # [J/m] power / v_x; NaN for a robot that is slower than SLOW
     peak: np.ndarray  # [m/s] largest speed ahead
     peak_sustained: np.ndarray  # [m/s] largest mean speed ahead of 0.2 s
     pitch: np.ndarray  # [degrees] mean pitch of the trunk, positive with the nose up
@@ -113,12 +112,13 @@ def steps(policy, env, command=None):
             print(f"{(t + 1) / limit:.0%} played\x1b[K", end="\r", file=sys.stderr, flush=True)
 
 
-def energy_per_metre(power, v_x):
-    """Energy per velocity [J/m] of power [W] and speed ahead v_x [m/s], both (N,).
+def energy_per_metre(power, v_x, axis=-1):
+    """Energy per velocity [J/m] of robots: mean power [W] over mean speed ahead [m/s] (D27).
 
-    NaN for a robot that is slower than SLOW.
+    power, v_x: (..., N), averaged over axis. Robots that do not move ahead spend infinitely much.
     """
-    return np.divide(power, v_x, out=np.full(len(v_x), np.nan), where=v_x > SLOW)
+    power, v_x = np.mean(power, axis), np.mean(v_x, axis)
+    return np.where(v_x > SLOW, power / np.maximum(v_x, SLOW), np.inf)
 
 
 def run_episodes(policy, env, command=None):
@@ -143,8 +143,7 @@ def run_episodes(policy, env, command=None):
     performance, length = totals[0] / limit, totals[-1]
     v_x, power, pitch, roll = totals[1:-1] / length
     v_x_late = np.divide(late[0], late[1], out=np.full(n, np.nan), where=late[1] > 0)
-    energy = energy_per_metre(power, v_x)
-    return Episodes(performance, fell, v_x, v_x_late, power, energy, peak, sustained, pitch, roll)
+    return Episodes(performance, fell, v_x, v_x_late, power, peak, sustained, pitch, roll)
 
 
 # ---- numbers ----
@@ -156,31 +155,37 @@ def commands_of(task):
 
 
 def finite_mean(x):
-    """Mean of the finite numbers of x, or NaN if there are none: J/m of the robots that move."""
+    """Mean of the finite numbers of x, or NaN if there are none."""
     x = np.ravel(x)[np.isfinite(np.ravel(x))]
     return x.mean() if x.size else np.nan
 
 
 def interval(x, statistic=np.mean, **options):
-    """95 % interval (low, high) of a statistic of x (n,), by the percentile bootstrap [IV-D].
+    """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [IV-D].
 
-    NaN if n is 1. options: as for scipy.stats.bootstrap
+    The statistic takes the k rows, which are k numbers of n episodes. NaN if n is 1.
+    options: as for scipy.stats.bootstrap
     """
-    if len(x) < 2:
+    if len(x[0]) < 2:
         return np.nan, np.nan
     options |= dict(method="percentile", n_resamples=2000, rng=np.random.default_rng(SEED))
-    return stats.bootstrap((x,), statistic, **options).confidence_interval
+    with np.errstate(invalid="ignore"):  # infinite J/m have no standard error
+        return stats.bootstrap(x, statistic, paired=True, **options).confidence_interval
 
 
 def summary(played, nominal, commands):
     """A dict of means over episodes from random starts or, where a name says so, nominal ones.
 
-    played, nominal: Episodes, equally many of each of commands (n, 3), one after the other
+    played, nominal: Episodes, equally many of each of commands (n, 3), one after the other.
+        Energy per metre is of the commands to move.
     """
+    asked = np.repeat(commands[:, 0], len(played.v_x) // len(commands))
+    moving = (asked > 0) | (len(commands) == 1)
     row = dict(performance=played.performance.mean(), fell=played.fell.mean())
     row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
-    for name in ("v_x", "peak", "power", "energy"):
+    for name in ("v_x", "peak", "power"):
         row[name] = finite_mean(getattr(played, name))
+    row["energy"] = float(energy_per_metre(played.power[moving], played.v_x[moving]))
     for name in ("pitch", "roll"):
         row[name] = np.abs(getattr(played, name)).mean()
     if len(commands) > 1:
@@ -202,7 +207,7 @@ def evaluate(folder, args):
         )
         for start in (False, True)
     )
-    low, high = interval(played.performance, batch=100)
+    low, high = interval([played.performance], batch=100)
     row = summary(played, nominal, commands)
     row["performance"] = f"{row['performance']:.4g} [{low:.4g}, {high:.4g}]"
     return dict(run=folder.name) | row

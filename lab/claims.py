@@ -84,9 +84,9 @@ def power(e):
 
 
 def energy(e):
-    """Energy per metre [J/m]: mean power over mean speed, of commands from 0.1 m/s on."""
+    """Energy per metre [J/m], of commands from 0.1 m/s on."""
     moving = e["asked_v_x"] >= 0.1
-    return e["power"][moving].mean() / e["v_x"][moving].mean()
+    return evaluate.energy_per_metre(e["power"][moving], e["v_x"][moving])
 
 
 def peak(e):

@@ -33,13 +33,11 @@ HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, 
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
-    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes,
-    with intervals.
+    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes
+    with random starts, with intervals. The column "energy" is energy per metre.
 
-    commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command.
-        Columns that end in
-    _nominal are means of as many episodes that start from the nominal pose. All others are of
-    random starts.
+    commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command,
+        and as many from the nominal pose, of which the rows have the share that fell.
     """
     each = max(1, args.episodes // len(commands))
     rows = []
@@ -59,12 +57,10 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
             row |= dict(fell=np.mean([e.fell[mine] for e in played]))
             row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
             for column in columns:
-                row |= statistics.summarise(
-                    column, [getattr(e, column)[mine] for e in played], statistic
-                )
-                row[f"{column}_nominal"] = evaluate.finite_mean(
-                    [getattr(e, column)[mine] for e in nominal]
-                )
+                names = ("power", "v_x") if column == "energy" else (column,)
+                of = evaluate.energy_per_metre if column == "energy" else statistic
+                seeds = [[getattr(e, name)[mine] for name in names] for e in played]
+                row |= statistics.summarise(column, seeds, of)
             rows.append(row)
     return rows
 

@@ -184,7 +184,7 @@ def gait_row(seen, weight, env_cfg):
     phases = np.array([found[i][2] for i in same]).reshape(-1, 4)
     phases = np.round(np.angle(np.exp(2j * np.pi * phases).sum(0)) / (2 * np.pi), 6) % 1
     contact, v_x, power = seen.contact[:, up], seen.v_x[:, up].mean(0), seen.power[:, up].mean(0)
-    energy_per_m = evaluate.energy_per_metre(power, v_x)
+    energy_per_m = float(evaluate.energy_per_metre(power, v_x)) if len(up) else np.nan
     row = dict(
         gait=gait,
         share=len(same) / max(1, len(up)),
@@ -192,7 +192,7 @@ def gait_row(seen, weight, env_cfg):
         v_x=v_x,
         power=power,
         energy=energy_per_m,
-        cost_of_transport=energy_per_m / weight[up],
+        cost_of_transport=energy_per_m / evaluate.finite_mean(weight[up]),
         flight=~contact.any(-1),
     )
     legs = leg_power(seen, env_cfg.clip)[:, up]

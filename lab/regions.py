@@ -24,7 +24,7 @@ REGIONS = {  # by commands of v_x [m/s] and of the yaw rate [rad/s]
 
 def table(rows, rival="PPO(0) shaped"):
     """Lines of a Markdown table from rows of fig5.csv: regions, then comparisons with the rival."""
-    names = ("v_x_asked", "yaw_asked", "performance_mean", "power_mean", "fell")
+    names = ("v_x_asked", "yaw_asked", "performance", "power", "fell")
     runs = {run: None for run in (row["run"] for row in rows)}
     for run in runs:
         runs[run] = np.array(

@@ -20,24 +20,26 @@ def iqm(x, axis=None):
 
 
 def summarise(name, by_seed, statistic=np.mean):
-    """Columns of a CSV: a statistic, its intervals over episodes and seeds, the mean, and how many
-    episodes count.
+    """Columns of a CSV: a statistic, its intervals over episodes and seeds, and how many episodes
+    count.
 
-    by_seed: list of (episodes,), one per seed; what is not finite does not count. statistic:
-        np.mean or iqm
+    by_seed:   one array per seed, (episodes,), or (k, episodes) for a statistic of k numbers of an
+               episode; an episode with a number that is not finite does not count
+    statistic: of k arrays (..., episodes), with an argument axis: np.mean, iqm, energy_per_metre
     """
-    by_seed = [x[np.isfinite(x)] for x in by_seed if np.isfinite(x).any()]
-    columns = [
-        f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high", "_mean")
-    ]
+    by_seed = [np.atleast_2d(x) for x in by_seed]
+    by_seed = [x[:, np.isfinite(x).all(0)] for x in by_seed]
+    by_seed = [x for x in by_seed if x.size]
+    columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high")]
     if not by_seed:
         return dict.fromkeys(columns, np.nan) | {f"{name}_n": 0}
-    pooled, seeds = np.concatenate(by_seed), np.arange(len(by_seed))
+
+    def of_seeds(drawn):
+        return statistic(*np.hstack([by_seed[i] for i in drawn]), axis=-1)
+
+    seeds = np.arange(len(by_seed))
+    pooled = np.hstack(by_seed)
     over_episodes = interval(pooled, statistic, batch=100)
-    over_seeds = interval(
-        seeds,
-        lambda drawn: statistic(np.concatenate([by_seed[i] for i in drawn])),
-        vectorized=False,
-    )
-    numbers = statistic(pooled), *over_episodes, *over_seeds, pooled.mean()
-    return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": len(pooled)}
+    over_seeds = interval([seeds], of_seeds, vectorized=False)
+    numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
+    return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}

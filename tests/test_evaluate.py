@@ -57,9 +57,9 @@ def test_interval_of_a_mean():
     """0 and 1 alike: the mean of 400 has a standard deviation of 1/40, so 95 % are 0.45 to 0.55.
     One episode has no interval.
     """
-    low, high = evaluate.interval(np.arange(400) % 2.0)
+    low, high = evaluate.interval([np.arange(400) % 2.0])
     assert (low, high) == (pytest.approx(0.451, abs=0.01), pytest.approx(0.549, abs=0.01))
-    assert np.isnan(evaluate.interval(np.ones(1))).all()
+    assert np.isnan(evaluate.interval(np.ones((1, 1)))).all()
 
 
 def test_progress_is_for_terminals(folder, monkeypatch, capsys):

@@ -226,6 +226,7 @@ def scripted(monkeypatch):
         columns |= dict(
             performance=performance, peak_sustained=performance + 0.5, fell=np.arange(n) % 8 == 0
         )
+        columns |= dict(power=15 * performance)
         return evaluate.Episodes(**columns)
 
     monkeypatch.setattr(evaluate, "load", load)
@@ -258,11 +259,13 @@ def test_a_cell_is_of_its_own_command_and_pools_the_seeds(runs, scripted):
 
 
 def test_a_seed_without_partner_has_no_interval_over_seeds(runs, scripted):
-    """100 i + 0 ... 7: mean 3.5, energy 0.25 more; one seed says nothing of the next."""
+    """100 i + 0 ... 7: mean 3.5; one seed says nothing of the next. D27: speeds are 0.25 more, and
+    power 15 times as much, so at i = 0 energy per metre is 15 x 3.5 / 3.75 = 14.
+    """
     run("fig2", runs["flat"], "--episodes", 24)
     rows = table("fig2.csv")
     assert [float(row["performance"]) for row in rows] == [100 * i + 3.5 for i in range(3)]
-    assert [float(row["energy"]) for row in rows[:2]] == [3.75, 103.75]
+    assert float(rows[0]["energy"]) == 14
     assert distinct(rows, "performance_seeds_low", "performance_seeds_high") == [("nan", "nan")]
 
 
@@ -292,7 +295,7 @@ def test_table1_is_drawn_from_interquartile_means(runs, scripted, unsaved, monke
     monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
     run("table1", runs["velocity"], "--episodes", 8)
     (((row,), figure),) = unsaved
-    assert (row["peak"], row["peak_mean"]) == (3.5, 127.625)
+    assert row["peak"] == 3.5
     drawn = [bars.lines[0].get_xdata().tolist() for bars in figure.axes[0].containers]
     assert drawn == [[3.5], [2.86]]
 
@@ -323,17 +326,17 @@ def test_eipo_from_another_lambda_0_is_a_kind_of_its_own(runs, scripted, unsaved
 
 
 def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
-    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 J/m and m/s. One in eight falls, so a point's
-    area is 20 + 250.
+    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 m/s and 14 J/m, see above. One in eight falls,
+    so a point's area is 20 + 250.
     """
     run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
     ((rows, figure),) = unsaved
     assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
-        ("EIPO", 3.75, 3.75),
-        ("PPO(0.01)",) + (3.75,) * 2,
+        ("EIPO", 3.75, 14),
+        ("PPO(0.01)", 3.75, 14),
     ]
     points = figure.axes[0].collections
-    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(3.75, 3.75, 270)] * 2
+    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(14, 3.75, 270)] * 2
 
 
 def test_fig6_by_hand(runs, monkeypatch):
@@ -557,11 +560,14 @@ def test_fewer_episodes_do_not_replace_more(runs, played):
     assert played == [6, 4]
 
 
-def test_kept_episodes_equal_those_that_were_played(runs):
-    """NaN included: a robot that falls or stands has no speed in the second half or no J/m."""
+def test_kept_episodes_equal_those_that_were_played(runs, monkeypatch):
+    """NaN included: a robot that fell has no speed in the second half."""
+    play = evaluate.run_episodes
+    late = np.where(np.arange(16) < 3, np.nan, 0.5)
+    monkeypatch.setattr(evaluate, "run_episodes", lambda *args: play(*args)._replace(v_x_late=late))
     first, again = (episodes.of_run(runs["flat"], TWO, 8, usual()) for _ in range(2))
     np.testing.assert_array_equal(first, again)
-    assert np.isnan(first.energy).any() and np.isfinite(first.power).all()
+    assert np.isnan(again.v_x_late).sum() == 3 and np.isfinite(again.power).all()
 
 
 def test_another_policy_voids_the_episodes(runs, played, monkeypatch):
@@ -620,7 +626,7 @@ OVERVIEW = dict(
     v_x=2,
     peak=0,
     power=10,
-    energy=7,
+    energy=5,
     pitch=3,
     roll=0,
     v_x_at_0=2,
@@ -629,15 +635,14 @@ OVERVIEW = dict(
 
 @pytest.fixture
 def two_episodes(monkeypatch):
-    """Of each of two commands, 0 and 0.1 m/s: performance 0.5 and 1.5, one fall, 1 and 3 m/s, 10 W,
-    one J/m unknown.
+    """Of each of two commands, 0 and 0.1 m/s: performance 0.5 and 1.5, one fall, 1 and 3 m/s,
+    10 W.
     """
     pairs = dict(
         performance=(0.5, 1.5),
         fell=(True, False),
         v_x=(1, 3),
         power=(10, 10),
-        energy=(7, np.nan),
         pitch=(-2, 4),
     )
     columns = {name: np.tile(pairs.get(name, (0, 0)), 2) for name in evaluate.Episodes._fields}
@@ -648,7 +653,7 @@ def two_episodes(monkeypatch):
 
 
 def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
-    """Means 1, 50 %, 2 m/s, 10 W; 7 J/m of the robot that moves; pitch |-2| and |4|, 3 degrees."""
+    """Means 1, 50 %, 2 m/s, 10 W, so 5 J/m; pitch |-2| and |4|, 3 degrees."""
     run(runs["flat"], "--episodes", 4)
     head, _, row = (
         [cell.strip() for cell in line.split("|")[1:-1]]
@@ -1326,7 +1331,7 @@ def test_regions_of_figure_5():
     """Straight ahead A has (1 + 0.5) / 2 = 0.75, (100 + 300) / 2 = 200 W, a half ends; it is ahead
     at 0 m/s alone.
     """
-    names = "run", "v_x_asked", "yaw_asked", "performance_mean", "power_mean", "fell"
+    names = "run", "v_x_asked", "yaw_asked", "performance", "power", "fell"
     rows = [
         ("A", 0, 0, 1, 100, 0),
         ("A", 1.5, 0, 0.5, 300, 1),

@@ -92,7 +92,7 @@ def published():
         with open(RESULTS / path) as file:
             rows = [row for row in csv.DictReader(file) if float(row.get("yaw_asked") or 0) == 0]
         for row in rows:
-            for axis, name in (("x", x), ("y", f"{y}_mean")):
+            for axis, name in (("x", x), ("y", y)):
                 columns.setdefault(f"{panel}:{row['run']}:{axis}", []).append(float(row[name]))
     return columns
 
