@@ -113,7 +113,7 @@ def steps(policy, env, command=None):
 
 
 def energy_per_metre(power, v_x, axis=-1):
-    """Energy per velocity [J/m] of robots: mean power [W] over mean speed ahead [m/s] (D27).
+    """Energy per velocity [J/m] of robots: mean power [W] over mean speed ahead [m/s].
 
     power, v_x: (..., N), averaged over axis. Robots that do not move ahead spend infinitely much.
     """

@@ -41,7 +41,6 @@ FIGURES = {
     "table1": (figures.table1, "peak velocity of every lambda beside what the paper prints"),
     "tradeoff": (overview.tradeoff, "score over power of all runs, a dot for each seed"),
     "lambdas": (overview.lambdas, "score, power and the last alpha over lambda"),
-    "pareto": (seeds.pareto, "speed against J/m on velocity, a point for each seed"),
     "seeds": (seeds.seeds, "how soon and how well the runs of one task learned"),
     "gait": (gait.gait, "how each run's robot moves its feet"),
     "joints": (joints.joints, "what its joints do, against their limits"),

@@ -1,9 +1,11 @@
 """The paper's Figures 2 to 6 and Table I from our own runs, in the simulator that trained them."""
 
 import io
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from matplotlib import ticker
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -29,7 +31,7 @@ TABLE1 = dict(
         strict=True,
     )
 )  # m/s, Table I
-HARDWARE = (2.5, 1.5)  # m/s, peaks of EIPO and of PPO(0.01) on the real robot, Section VI (D45)
+HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D45)
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
@@ -67,7 +69,7 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
 
 def draw_lines(axes, rows, x, column):
     """Draw a line for each kind of run: means, in their intervals over episodes and, lighter,
-    over seeds.
+    over seeds. Then `name_lines`.
     """
     names = list(dict.fromkeys(row["run"] for row in rows))
     for i, name in enumerate(names):
@@ -80,7 +82,7 @@ def draw_lines(axes, rows, x, column):
             else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
         )
         axes.plot(
-            at, y, color=color, label=name, markersize=4, markevery=max(1, len(at) // 10), **style
+            at, y, label=name, color=color, markersize=4, markevery=max(1, len(at) // 10), **style
         )
         for over, shade in (("", alpha), ("_seeds", alpha / 2)):
             low, high = (
@@ -89,19 +91,45 @@ def draw_lines(axes, rows, x, column):
             )
             axes.fill_between(at, low, high, color=color, alpha=shade, linewidth=0)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
 
 
-def draw_panels(rows, panels):
-    """A Figure with a panel over the command v_x for each (task, column, label of the y axis)."""
+def name_lines(axes):
+    """Write the name of each line of the axes beside its end, in its color, one above the other."""
+    (low, high), log = axes.get_ylim(), axes.get_yscale() == "log"
+    low, high = (np.log(x) if log else x for x in (low, high))
+    ends = np.array([line.get_ydata()[np.isfinite(line.get_ydata())][-1] for line in axes.lines])
+    ends = ((np.log(ends) if log else ends) - low) / (high - low)
+    order, step = np.argsort(ends), 0.055
+    places = np.clip(ends, 0, 1)
+    for below, above in pairwise(order):
+        places[above] = max(places[above], places[below] + step)
+    places[order] = np.minimum(places[order], 1 - step * np.arange(len(order))[::-1])
+    for line, end, place in zip(axes.lines, ends, places, strict=True):
+        style = dict(color=line.get_color(), fontsize=7, va="center", annotation_clip=False)
+        arrow = dict(arrowstyle="-", color=line.get_color(), linewidth=0.6)
+        at, text = (1.0, max(end, 0)), (1.04, place)
+        style |= dict(xycoords="axes fraction", textcoords="axes fraction", arrowprops=arrow)
+        axes.annotate(line.get_label(), at, text, **style)
+
+
+def draw_panels(rows, panels, floors=None):
+    """A Figure with a panel over the command v_x for each (task, column, label of the y axis).
+
+    floors: {task: where the y axis begins}, below which lines leave the panel
+    """
     figure = Figure(figsize=(5 * len(panels), 3.6), layout="constrained")
     for axes, (task, column, title) in zip(
         figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True
     ):
+        axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground", xlim=(0, 1))
+        if column == "energy":  # a robot that is asked to stand spends much per metre
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(ticker.LogLocator(2))
+            axes.yaxis.set_major_formatter(ticker.ScalarFormatter())
+            axes.yaxis.set_minor_locator(ticker.NullLocator())
         draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
-        axes.set(xlabel="command v_x [m/s]", ylabel=title, title=f"{task} ground")
-        if column == "energy":
-            axes.set_yscale("log")  # because a robot that is asked to stand spends much per metre
+        axes.set_ylim(bottom=(floors or {}).get(task))
+        name_lines(axes)
     return figure
 
 
@@ -132,7 +160,8 @@ def fig4(folders, args):
         for task in tasks
         for row in by_command(folders, task, evaluate.FORWARD, ("performance",), args)
     ]
-    return rows, draw_panels(rows, [(task, "performance", "task performance") for task in tasks])
+    panels = [(task, "performance", "task performance") for task in tasks]
+    return rows, draw_panels(rows, panels, floors=dict(flat=1.2, rough=0.8))
 
 
 def fig5(folders, args):
@@ -152,10 +181,8 @@ def fig5(folders, args):
             image = axes.pcolormesh(
                 commands[:11, 2], commands[::11, 0], value, vmin=values.min(), vmax=values.max()
             )
-            axes.set(
-                title=f"{name}: {'task performance' if column == 'performance' else 'power [W]'}"
-            )
-        figure.colorbar(image, ax=panels[i])
+            axes.set(title=name if i == 0 else "")
+        figure.colorbar(image, ax=panels[i], label=("task performance", "power [W]")[i])
     figure.supxlabel("command yaw rate [rad/s]")
     figure.supylabel("command v_x [m/s]")
     return rows, figure
@@ -189,8 +216,10 @@ def fig6(folders, args):
         ]
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     draw_lines(axes := figure.subplots(), rows, "time", "v_x")
-    for peak in HARDWARE:
+    name_lines(axes)
+    for name, peak in HARDWARE.items():
         axes.axhline(peak, color="black", linestyle=":", linewidth=1)
+        axes.text(rows[-1]["time"], peak, f"{name}, the paper's robot", ha="right", va="bottom")
     axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
     return rows, figure
 

@@ -275,16 +275,13 @@ def gait(folders, args):
     axes = figure.subplots(4, len(rows), sharex="col", sharey="row", squeeze=False)
     for column, row, (seen, env_cfg) in zip(axes.T, rows, drawn, strict=True):
         draw(column, seen, env_cfg)
-        column[0].set_title(
-            f"{row['run']}, asked for {row['v_x_asked']:g} m/s:\n{row['v_x']:.2f} m/s, "
-            f"{row['gait']}, "
-            f"{row['stride_hz']:.1f} strides/s",
-            fontsize=9,
-        )
+        asked = f", asked for {row['v_x_asked']:g} m/s" if tasks.asks_speed(env_cfg.task) else ""
+        walks = f"{row['v_x']:.2f} m/s, {row['gait']}, {row['stride_hz']:.1f} strides/s"
+        column[0].set_title(f"{row['run']}{asked}:\n{walks}", fontsize=9)
     for panel, label in zip(
         axes[:, 0], ("feet", "height [m]", "attitude [degrees]", "power of legs [W]"), strict=True
     ):
         panel.set_ylabel(label)
     for panel in axes[2:, 0]:
-        panel.legend(fontsize=7, ncols=2)
+        panel.legend(fontsize=7, ncols=4, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return rows, figure

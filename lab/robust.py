@@ -109,10 +109,10 @@ def draw(rows):
             x = [row["value"] for row in mine]
             for panel, y in zip(column, ("performance", "fell"), strict=True):
                 panel.plot(x, [row[y] for row in mine], marker="o", markersize=3, label=name)
-                panel.axvspan(
-                    mine[0]["trained_low"], mine[0]["trained_high"], alpha=0.2, color="gray"
-                )
                 panel.grid(alpha=0.3)
+        for panel in column:  # a line where training had one value
+            trained_in = mine[0]["trained_low"], mine[0]["trained_high"]
+            panel.axvspan(*trained_in, alpha=0.25, color="gray", label="in training")
         column[1].set(xlabel=f"{parameter.replace('_', ' ')} [{UNITS[parameter]}]")
     axes[0, 0].set(ylabel="task performance")
     axes[1, 0].set(ylabel="share that fell", ylim=(-0.05, 1.05))

@@ -1,4 +1,4 @@
-"""Runs seed by seed: `python -m lab seeds RUN...` and `python -m lab pareto RUN...`."""
+"""Runs seed by seed: `python -m lab seeds RUN...`."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import evaluate
-from lab import episodes, sweep
+from lab import episodes
 from runtime import metrics, run_folder
 
 # `seeds` says when the mean task reward of a run's robots reached these
@@ -62,34 +62,4 @@ def seeds(folders, args):
     axes.set(xlabel="million steps", ylabel="task reward per step of pi")
     axes.legend(fontsize=7)
     axes.grid(alpha=0.3)
-    return rows, figure
-
-
-def pareto(folders, args):
-    """Speed over ground against energy per metre on `velocity`, a point for each seed; a large
-    point falls often.
-    """
-    rows, figure = [], Figure(figsize=(6, 4.5), layout="constrained")
-    axes = figure.subplots()
-    for i, (name, runs) in enumerate(sweep.by_label(folders, "velocity").items()):
-        mine = [overview(folder, args) for folder in runs]
-        rows += [dict(kind=name) | row for row in mine]
-        x, y, fell = ([row[column] for row in mine] for column in ("energy", "v_x", "fell"))
-        axes.scatter(
-            x,
-            y,
-            20 + 2000 * np.array(fell),
-            alpha=0.6,
-            label=name,
-            color=sweep.color(name),
-            marker="osv^D<>pX*PhdH"[i % 14],
-        )
-    # a standing robot has 1000 J/m
-    axes.set(xlabel="energy [J/m]", ylabel="speed over ground [m/s]", xscale="log")
-    axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
-    axes.minorticks_off()
-    axes.grid(alpha=0.3)
-    legend = figure.legend(loc="outside right upper", fontsize=8, title="size: falls")
-    for handle in legend.legend_handles:
-        handle.set_sizes([30])
     return rows, figure

@@ -325,20 +325,6 @@ def test_eipo_from_another_lambda_0_is_a_kind_of_its_own(runs, scripted, unsaved
     assert [row["paper"] for row in rows[:2]] == [2.86, 1.45] and np.isnan(rows[2]["paper"])
 
 
-def test_pareto_has_a_point_for_each_seed(runs, scripted, unsaved):
-    """Eight episodes 0.25 ... 7.25 of seed 0: 3.75 m/s and 14 J/m, see above. One in eight falls,
-    so a point's area is 20 + 250.
-    """
-    run("pareto", runs["velocity_ppo"], runs["velocity"], "--episodes", 8)
-    ((rows, figure),) = unsaved
-    assert [(row["kind"], row["v_x"], row["energy"]) for row in rows] == [
-        ("EIPO", 3.75, 14),
-        ("PPO(0.01)", 3.75, 14),
-    ]
-    points = figure.axes[0].collections
-    assert [(*p.get_offsets()[0], p.get_sizes()[0]) for p in points] == [(14, 3.75, 270)] * 2
-
-
 def test_fig6_by_hand(runs, monkeypatch):
     """v_x is the step's number, of robot 1 one more until it falls in step 10. 34 steps are two
     strides of 17.
