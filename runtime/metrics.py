@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 import curriculum
+import tasks
 from runtime import run_folder
 from runtime.interrupt import say
 
@@ -128,35 +129,61 @@ def draw_curves(folder):
     """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
     from matplotlib.figure import Figure  # here, because it is slow to import
 
+    env_cfg, cfg = run_folder.load_config(folder)
     columns = read(folder)
-    columns |= {
-        name.replace("task_reward", "reward"): x
-        for name, x in columns.items()
-        if "task_reward" in name
-    }
+    for policy in ("", "prime_"):
+        if policy + "task_reward" in columns:  # a shaped reward is not the task's
+            columns[policy + "reward"] = columns[policy + "task_reward"]
+        if policy + "ended_fall" in columns:
+            columns[policy + "falls"] = columns[policy + "ended_fall"] / minutes(env_cfg, cfg)
     panels = dict(
         reward="task reward per step",
         v_x="speed ahead [m/s]",
         power="power [W]",
-        std="exploration noise",
+        falls="falls of a robot per minute",
         gap="gap J(pi) - J(pi'): alpha rises below 0",
         alpha="alpha, the weight of the task",
         task_share="task's share of pi's objective",
-        kl="KL divergence of an update",
+        std="exploration noise",
     )
     figure = Figure(figsize=(14, 6), layout="constrained")
     for axes, (name, title) in zip(figure.subplots(2, 4).flat, panels.items(), strict=True):
-        for column, label in ((name, "pi"), ("prime_" + name, "pi'")):
+        for column, label, color in ((name, "pi", "#0072B2"), (f"prime_{name}", "pi'", "#E69F00")):
             if column in columns and np.isfinite(columns[column]).any():
-                axes.plot(columns["steps"] / 1e6, columns[column], label=label, linewidth=0.8)
-        if name == "gap":
-            axes.axhline(0, color="black", linewidth=0.8)
+                style = dict(label=label, color=color, linewidth=0.8)
+                axes.plot(columns["steps"] / 1e6, columns[column], **style)
         axes.set(title=title, xlabel="million steps")
         axes.grid(alpha=0.3)
-    figure.axes[0].legend()
+    reward, gap = figure.axes[0], figure.axes[4]
+    gap.axhline(0, color="black", linewidth=0.8)
+    for name, level in levels(env_cfg.task).items():
+        reward.axhline(level, color="black", linestyle=":", linewidth=0.8)
+        place = dict(transform=reward.get_yaxis_transform(), ha="right", va="bottom", fontsize=8)
+        reward.text(0.99, level, name, **place)
+    reward.legend(loc="lower right")
     run_folder.replace_file(
         folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png")
     )
+
+
+def minutes(env_cfg, cfg):
+    """How long the robots of one policy live in an iteration, all together [min]."""
+    robots = cfg.num_envs / (2 if cfg.algo == "eipo" else 1)
+    return robots * cfg.num_steps * env_cfg.physics_steps * env_cfg.timestep / 60
+
+
+def levels(task):
+    """What a robot earns per step that stands, and one that does as it is told: {name: reward}.
+
+    Means over the task's commands. On `curriculum` nobody knows them beforehand, and on `velocity`
+    there are none.
+    """
+    task = tasks.TASKS[task]
+    asked = np.linspace(0, 1, 1001)[:, None] * task.command_high
+    found = {"as told": task.reward(asked, asked).mean()}
+    if any(task.command_high):
+        return found | dict(standing=task.reward(0 * asked, asked).mean())
+    return found if task.curriculum else {}
 
 
 def draw_commands(folder, weights):

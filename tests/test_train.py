@@ -19,6 +19,7 @@ from support import DAMAGES, ROOT, SECONDS, TINY, contents, error_of, heard, sta
 import eipo
 import evaluate
 import go1_env
+import tasks
 import train
 from runtime import interrupt, metrics, policy_file, run_folder
 
@@ -365,6 +366,23 @@ def test_rows_of_another_version_keep_their_columns(tmp_path):
     (tmp_path / "metrics.csv").unlink()  # while the run is going on
     log.row(3, dict(steps=12, new=0.5))
     assert metrics.read(tmp_path)["steps"].tolist() == [4, 12]
+
+
+def test_levels_of_the_reward_in_the_picture():
+    """Standing on flat ground: the mean of exp(-4 v^2) for commands v from 0 to 1 m/s is 0.441,
+    sqrt(pi) / 4 erf(2), and 0.5 for not turning; on rough ground 0.15. Eqs. (5), (6), (8).
+    """
+    levels = {task: metrics.levels(task) for task in tasks.TASKS}
+    assert levels["flat"] == pytest.approx({"as told": 1.5, "standing": 0.941}, abs=1e-3)
+    assert levels["rough"] == pytest.approx({"as told": 1.15, "standing": 0.591}, abs=1e-3)
+    assert (levels["velocity"], levels["curriculum"]) == ({}, {"as told": 1.5})
+
+
+@pytest.mark.parametrize(("algo", "minutes"), [("eipo", 1.0), ("ppo", 2.0)])
+def test_minutes_of_an_iteration(algo, minutes):
+    """250 robots, of EIPO's pi 125, take 24 steps of 0.02 s: 125 x 24 x 0.02 s = 60 s."""
+    cfg = eipo.Config(algo=algo, num_envs=250, num_steps=24)
+    assert metrics.minutes(tasks.task_config("flat"), cfg) == pytest.approx(minutes, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -273,6 +273,40 @@ def test_commands_parse():
             assert {x for x in argv if x.startswith("--")} <= allowed, line
 
 
+def copied(copy):
+    """A new folder with the code and the tests of the repository."""
+    copy.mkdir()
+    files = *ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"
+    for path in files:
+        shutil.copy(path, copy)
+    for folder in ("runtime", "lab", "tests"):
+        shutil.copytree(ROOT / folder, copy / folder)
+    return copy
+
+
+def test_the_new_task_trains_as_the_page_says(tmp_path):
+    """Section 15, done to the letter: function, entry and test appended, one iteration trained."""
+    copy = copied(tmp_path / "copy")
+    (block,) = [code for code in blocks("python") if "def turn(" in code]
+    function, entry, test, *_ = block.split("\n\n")
+    entry = entry.partition("\n")[2]  # after rewards.turn = turn
+    for file, lines in (
+        ("rewards.py", function.replace("rewards.", "")),
+        ("tasks.py", entry.replace("tasks.", "")),
+        ("tests/paper/test_3_rewards.py", test),
+    ):
+        with open(copy / file, "a") as end:
+            end.write(f"\n\n{lines}\n")
+    tested = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "turn or help"]
+    tested += ["tests/paper/test_3_rewards.py", "tests/test_settings.py"]
+    small = shlex.split("--iterations 1 --num-envs 4 --num-steps 4 --num-minibatches 2")
+    trained = [sys.executable, "train.py", "--task", "turn", *small, "--out", "run"]
+    for command in (tested, trained):
+        done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert (copy / "run" / "policy.npz").exists()
+
+
 SABOTAGE = re.compile(r"# \d+\. .*\n@@ (\S+), caught by (\w+) @@\n((?:[-+].*\n)+)> (assert .*)\n")
 SABOTAGES = [found.groups() for diff in blocks("diff") for found in SABOTAGE.finditer(diff)]
 
@@ -318,17 +352,7 @@ def test_sabotages_are_caught_by_the_test_they_name(file, test, diff, line, tmp_
     A test that ends in another error, of broadcasting perhaps, shows other lines, or another
     exception.
     """
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    for path in [
-        *ROOT.glob("*.py"),
-        *ROOT.glob("*.xml"),
-        ROOT / "pyproject.toml",
-        ROOT / "README.md",
-    ]:
-        shutil.copy(path, copy)
-    for folder in ("runtime", "lab", "tests"):
-        shutil.copytree(ROOT / folder, copy / folder)
+    copy = copied(tmp_path / "copy")
     (home,) = (str(path.relative_to(ROOT)) for path in TESTS if f"def {test}(" in path.read_text())
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", home, "-k", test]
     before = subprocess.run(command, cwd=copy, capture_output=True, text=True)
