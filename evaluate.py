@@ -200,13 +200,10 @@ def evaluate(folder, args):
     commands = commands_of(task)
     each = max(1, args.episodes // len(commands))
     roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    played, nominal = (
-        run_episodes(
-            *load(folder, each * len(commands), args.clip, roughness, start),
-            np.repeat(commands, each, 0),
-        )
-        for start in (False, True)
-    )
+    asked = np.repeat(commands, each, 0)
+    settings = len(asked), args.clip, roughness
+    played = run_episodes(*load(folder, *settings), asked)
+    nominal = run_episodes(*load(folder, *settings, nominal=True), asked)
     low, high = interval([played.performance], batch=100)
     row = summary(played, nominal, commands)
     row["performance"] = f"{row['performance']:.4g} [{low:.4g}, {high:.4g}]"

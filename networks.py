@@ -123,10 +123,11 @@ def init_params(key, sizes, mirror, heads, cfg):
     spaces = (mirror.obs, mirror.privileged, mirror.action) if mirror else (None,) * 3
     obs, privileged, action = map(widths, sizes, spaces)
     both = obs[0] + privileged[0], obs[1] + privileged[1]
-    hidden, hidden_estimator = (
-        [(n // 2, n // 2) if mirror else (n, 0) for n in units]
-        for units in (cfg.hidden, cfg.hidden_estimator)
-    )
+
+    def layers(units):
+        return [(n // 2, n // 2) if mirror else (n, 0) for n in units]
+
+    hidden = layers(cfg.hidden)
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
     params = dict(
         actor=dict(
@@ -134,7 +135,7 @@ def init_params(key, sizes, mirror, heads, cfg):
             log_std=jnp.full(max(action), cfg.log_std, jnp.float32),  # one for each pair
         ),
         critic=init_mlp(k_critic, (both, *hidden, (heads, 0))),
-        estimator=init_mlp(k_estimator, (obs, *hidden_estimator, privileged)),
+        estimator=init_mlp(k_estimator, (obs, *layers(cfg.hidden_estimator), privileged)),
     )
     return params | (dict(mirror=mirror) if mirror else {})
 

@@ -133,14 +133,13 @@ def play(env, folder, command, follow=False, seed=0):
     follow:  whether to load policy.npz again whenever training has written a new one
     seed:    of friction, payload, heading and ground under the robot
     """
-    path, loaded = Path(folder) / "policy.npz", None
+    path = Path(folder) / "policy.npz"
+    loaded = None
     obs, _ = env.reset(seed, command)
     while True:
         if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded, policy = (
-                path.stat().st_mtime_ns,
-                evaluate.deterministic(policy_file.load(path)[0]),
-            )
+            loaded = path.stat().st_mtime_ns
+            policy = evaluate.deterministic(policy_file.load(path)[0])
         env.state.command[:] = env.state.given[:] = command
         obs, _, _, _, info = env.step(policy(obs))
         yield info["log"]

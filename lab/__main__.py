@@ -20,6 +20,7 @@ from lab import (
     claims,
     figures,
     gait,
+    gap,
     joints,
     objective,
     overview,
@@ -52,6 +53,7 @@ OTHERS = {
     "claims": "the paper's claims, each with a difference over seeds and a verdict by rule",
     "missing": "FIGURE [FLAG ...]: train.py commands of the runs that a figure still lacks",
     "readings": "READING [FLAG ...]: train.py with another reading of the paper",
+    "gap": "RUN...: pi beside pi' with exploration noise and without, from a checkpoint",
     "objective": "RUN...: which policy on velocity Eq. (2) prefers at each lambda",
     "regions": "FIG5.csv: Figure 5 by region, as a table",
     "play": "RUN --model FILE.xml ...: play.py with another MJCF of a Go1",
@@ -146,7 +148,9 @@ def other(name, argv):
         args = parse(name, argv)
         with TemporaryDirectory() as into:
             folders = run_folders(args.runs, into)
-            if name == "objective":
+            if name == "gap":
+                evaluate.print_rows(map(gap.row, folders))
+            elif name == "objective":
                 print(*objective.lines(folders), sep="\n")
             else:
                 evaluate.print_rows(seeds.overview(folder, args) for folder in folders)

@@ -233,17 +233,12 @@ def table1(folders, args):
     for row in rows:
         printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
         row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)
-    at, figure = (
-        np.arange(len(rows))[::-1],
-        Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained"),
-    )
+    at = np.arange(len(rows))[::-1]
+    figure = Figure(figsize=(5, 0.4 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
-    seeds_low, seeds_high = (
-        np.array([row[f"peak_seeds_{end}"] for row in rows]) for end in ("low", "high")
-    )
-    axes.hlines(
-        at, seeds_low, seeds_high, color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds"
-    )
+    over_seeds = [[row[f"peak_seeds_{end}"] for row in rows] for end in ("low", "high")]
+    wide = dict(color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds")
+    axes.hlines(at, *over_seeds, **wide)
     ours = dict(label="ours", fmt="o", color="#0072B2")
     printed = dict(label="the paper's", fmt="D", color="#D55E00", markerfacecolor="none")
     for name, style in (("peak", ours), ("paper", printed)):

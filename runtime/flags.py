@@ -163,11 +163,10 @@ def check_world(num_envs, env_cfg, threads):
         if given[name] not in choices:
             raise ValueError(f"{name} is {given[name]!r}: it must be one of {', '.join(choices)}")
     for name, (low, high, why) in LIMITS.items():
-        x, what = (
-            given[name],
-            "a range, low end first, within" if isinstance(given[name], tuple) else "from",
-        )
-        ends = x if isinstance(x, tuple) else (x, x)
+        x = given[name]
+        is_range = isinstance(x, tuple)
+        what = "a range, low end first, within" if is_range else "from"
+        ends = x if is_range else (x, x)
         # nan as well
         if x is not None and not (len(ends) == 2 and low <= ends[0] <= ends[1] <= high):
             raise ValueError(f"{name} is {x}: it must be {what} {low:g} to {high:g}{why}")
@@ -238,16 +237,13 @@ def to_config(kind, record):
     """
     config = kind(**tuples(record))
     for field in fields(kind):
-        x, part = (
-            getattr(config, field.name),
-            type(field.default[0]) if field.type is tuple else field.type,
-        )
+        x = getattr(config, field.name)
+        is_range = field.type is tuple
+        part = type(field.default[0]) if is_range else field.type
         kinds = get_args(part) or (part,)  # for `float | None` these are float and NoneType
-        parts = x if field.type is tuple else (x,)
-        if type(parts) is not tuple or not {type(y) for y in parts} <= {
-            *kinds,
-            *[int] * (float in kinds),
-        }:
-            what = "a list of " * (field.type is tuple) + " or ".join(k.__name__ for k in kinds)
+        allowed = {*kinds, int} if float in kinds else {*kinds}
+        parts = x if is_range else (x,)
+        if type(parts) is not tuple or not {type(y) for y in parts} <= allowed:
+            what = "a list of " * is_range + " or ".join(k.__name__ for k in kinds)
             raise TypeError(f"{field.name} is {x!r}: it must be {what}")
     return config

@@ -24,16 +24,13 @@ class Log:
         The run does not need the earlier ones: if some are missing, it goes on, and a line on
         stderr says so.
         """
-        self.path, self.done, self.start, self.names = (
-            folder / "metrics.csv",
-            done,
-            time.monotonic(),
-            None,
-        )
+        self.path = folder / "metrics.csv"
+        self.done = done
+        self.start = time.monotonic()
+        self.names = None
         rows = whole_rows(self.path) if done and self.path.exists() else []
-        self.kept = list(
-            {row["iteration"]: row for row in rows if int(row["iteration"]) <= done}.values()
-        )
+        kept = {row["iteration"]: row for row in rows if int(row["iteration"]) <= done}
+        self.kept = list(kept.values())
         if (missing := done - len(self.kept)) > 0:
             print(
                 f"{self.path} lacks {missing} of {done} rows: the run goes on without them",

@@ -146,10 +146,8 @@ def load_config(folder):
     """The tasks.Config and eipo.Config of a run."""
     try:
         record = json.loads((folder / "config.json").read_text())
-        env_cfg, cfg = (
-            to_config(tasks.Config, record["env"]),
-            to_config(eipo.Config, record["learner"]),
-        )
+        env_cfg = to_config(tasks.Config, record["env"])
+        cfg = to_config(eipo.Config, record["learner"])
         check_world(cfg.num_envs, env_cfg, None)
         # of PPO older runs have a number there
         check_learner(cfg if cfg.algo == "eipo" else replace(cfg, alpha0=None))

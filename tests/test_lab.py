@@ -36,10 +36,10 @@ import go1_env
 import rewards
 import tasks
 import train
-from lab import episodes, figures, objective, record, regions
+from lab import episodes, figures, gap, objective, record, regions
 from lab import sweep as sweeps
 from lab.__main__ import FIGURES, OTHERS, main
-from runtime import flags, policy_file, run_folder
+from runtime import flags, metrics, policy_file, run_folder
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 ASKED = ["0", "0.1", "0.2", "0.3", "0.4", "0.5", "0.6", "0.7", "0.8", "0.9", "1"]
@@ -1339,3 +1339,44 @@ def test_regions_of_figure_5():
     assert all(
         line in page for line in regions.table(table(ROOT / "results" / "curriculum" / "fig5.csv"))
     )
+
+
+# ---- pi beside pi' ----
+
+
+def test_gap_is_measured_with_noise_and_without(tmp_path, capsys, monkeypatch):
+    """A checkpoint says the same twice. Noise changes what it says. Rewards are at most 1.5."""
+    monkeypatch.setattr(gap, "STEPS", 5)
+    monkeypatch.setattr(gap, "WARM_UP", 2)
+    out = tmp_path / "run"
+    assert train.main([*TINY, "--iterations", "1", "--out", str(out)]) == 0
+    rows = [gap.row(out) for _ in range(2)]
+    assert rows[0] == rows[1]
+    (row, _) = rows
+    assert all(
+        0 < row[f"{noise}_{side}"] <= 1.5
+        for noise in ("noisy", "quiet")
+        for side in ("pi", "prime")
+    )
+    assert row["noisy_gap"] != row["quiet_gap"]
+    trained = metrics.read(out)["gap"][0]
+    assert row["training_gap"] == trained
+    assert row["same_sign"] == (np.sign(row["quiet_gap"]) == np.sign(trained))
+
+
+def test_mean_reward_leaves_out_the_first_second(monkeypatch):
+    """Rewards 0, 1, ..., 549 times (1, 3): the last 500 have the mean (50 + 549) / 2 x 2 = 599."""
+
+    class Counting:
+        t = -1
+
+        def step(self, action):
+            self.t += 1
+            return self.t, self.t * np.array([1.0, 3.0]), None, None, None
+
+    monkeypatch.setattr(evaluate, "mean_action", lambda params, obs: obs)
+    assert gap.mean_reward(Counting(), None, (0, None), noisy=False) == 599
+
+
+def test_gap_of_ppo_is_one_line(runs, capsys):
+    assert "has no pi'" in error_of(capsys, main, "gap", runs["flat_ppo"])
