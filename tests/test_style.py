@@ -57,6 +57,7 @@ LAYERS = {
     "lab/objective": set(),
     "lab/regions": {"numpy"},
     "lab/readings": {"jax"},
+    "lab/gap": {"jax", "numpy"},
     "lab/claims": {"numpy", "scipy"},
     "lab/overview": {"numpy", "matplotlib"},
     "lab/figures": {"numpy", "matplotlib", "PIL"},
