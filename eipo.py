@@ -49,7 +49,7 @@ class Config:
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab: 0.01
     max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient
     reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
-    lr_alpha: float = 0.5  # [ours] eta_alpha; the paper: 0.01, for a longer run (D38)
+    lr_alpha: float = 0.01  # [IV-C] eta_alpha; two tasks have a longer one (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD; 0.99 makes momentum an average

@@ -30,9 +30,10 @@ class Options:
 
 CONFIGS = (Options, tasks.Config, eipo.Config)
 ABOUT = "`python train.py --task flat` trains a policy and keeps everything in a run folder."
-LENGTH = """A run has 10 to 15 % of the paper's iterations, so alpha takes longer steps (D38).
+LENGTH = """A run has 10 to 15 % of the paper's iterations. On flat and curriculum alpha takes
+longer steps to make up for it (D38).
 As in the paper:
-  --iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99  (on velocity: --iterations 10000)"""
+  --iterations 4000 --lr-alpha 0.01  (on velocity: --iterations 10000)"""
 
 
 def describe(config):

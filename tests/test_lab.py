@@ -1200,11 +1200,11 @@ def test_ppo_of_another_step_of_alpha_is_the_same_run(sweep, tmp_path):
 def test_eipo_of_another_step_of_alpha_has_a_name_of_its_own():
     """Two rules in one figure would otherwise be one line of it. PPO reads no step of alpha."""
     world, printed = tasks.task_config("flat"), eipo.Config(lr_alpha=0.01)
-    assert sweeps.kind(world, eipo.Config()) == "EIPO"
+    assert sweeps.kind(world, eipo.Config(lr_alpha=0.5)) == "EIPO"
     assert sweeps.kind(world, printed) == "EIPO at eta_alpha 0.01"
     assert sweeps.kind(world, replace(printed, algo="ppo")) == "PPO(0.005)"
     # the usual step there (D38)
-    velocity = eipo.Config(lam=0.0002, lr_alpha=1.0, momentum_alpha=0.9)
+    velocity = eipo.Config(lam=0.0002, lr_alpha=0.01)
     assert sweeps.kind(tasks.task_config("velocity"), velocity) == "EIPO"
 
 

@@ -7,18 +7,18 @@ test can compare the data and leave the pixels alone. The background is opaque w
 figures can be read on white and on dark pages.
 """
 
-import csv
 import hashlib
 from functools import lru_cache
 from itertools import pairwise, zip_longest
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import go1
-from lab import record
+from lab import record, sweep
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "results"  # our trained runs
@@ -74,27 +74,44 @@ def training(runs, names, until=None):
     return columns
 
 
-def published():
-    """Columns {"PANEL:RUN:x": (n,), "PANEL:RUN:y": (n,)} of our Figures 2 to 6, from their CSVs in
-    results/.
+def escapes():
+    """How runs on flat ground stopped standing: {run: None, or what `growth` found}."""
+    lams = ("0.02", "0.01", "0.005", "0.002", "0.001", "0.0005", "0.0002", "0.0001")
+    runs = [f"flat-ppo-lam{lam}-seed0" for lam in lams]
+    kinds = ("flat-ppo", "printed-eipo", "flat-eipo")
+    runs += [f"{kind}-lam0.005-seed{i}" for kind in kinds for i in range(3)]
+    return {run: growth(kept(f"flat/{run}")) for run in runs}
+
+
+def growth(c):
+    """From when a run was last below 0.05 m/s to when it passed 0.3 m/s: iterations (n,), speeds
+    (n,), mean alpha, and by how much ln v_x grew in 100 iterations. None if it never passed.
+
+    c: columns of metrics.csv
     """
-    sources = dict(
-        fig2=("flat/fig2.csv", "performance"),
-        fig3=("rough/fig3.csv", "performance"),
-        energy=("rough/fig3.csv", "energy"),
-        fig5=("curriculum/fig5.csv", "performance"),
-        power=("curriculum/fig5.csv", "power"),
-        fig6=("velocity/fig6.csv", "v_x"),
-    )
+    if not (c["v_x"] > 0.3).any():
+        return None
+    end = np.argmax(c["v_x"] > 0.3) + 1
+    rows = slice(np.flatnonzero(c["v_x"][:end] < 0.05)[-1] + 1, end)
+    x, v = c["iteration"][rows], c["v_x"][rows]
+    return x, v, c["alpha"][rows].mean(), 100 * np.polyfit(x, np.log(v), 1)[0]
+
+
+def speeds_and_rates(left):
+    """Columns of `escape` from what `escapes` found."""
+    shown = {
+        "EIPO": "flat-eipo-lam0.005-seed0",
+        "EIPO (paper's step)": "printed-eipo-lam0.005-seed0",
+        "PPO(0.005)": "flat-ppo-lam0.005-seed0",
+        "PPO(0.001)": "flat-ppo-lam0.001-seed0",
+    }
     columns = {}
-    for panel, (path, y) in sources.items():
-        x = "time" if panel == "fig6" else "v_x_asked"
-        with open(RESULTS / path) as file:
-            rows = [row for row in csv.DictReader(file) if float(row.get("yaw_asked") or 0) == 0]
-        for row in rows:
-            for axis, name in (("x", x), ("y", y)):
-                columns.setdefault(f"{panel}:{row['run']}:{axis}", []).append(float(row[name]))
-    return columns
+    for name, run in shown.items():
+        columns |= {f"{name}:iteration": left[run][0], f"{name}:v_x": left[run][1]}
+    walked = [seen for seen in left.values() if seen]
+    stood = [1 / float(run.split("-")[2][3:]) for run, seen in left.items() if not seen]
+    rates = dict(alpha=[seen[2] for seen in walked], rate=[seen[3] for seen in walked])
+    return columns | rates | dict(stands=stood)
 
 
 def posture(pitch=15.0):
@@ -300,26 +317,20 @@ def ahead(c):
 
 
 def pace(c):
-    """alpha and power of EIPO on the four tasks, with our step of alpha and the paper's; keys are
-    task:run:column.
+    """alpha and power of EIPO on the four tasks, with a longer step of alpha and with the paper's;
+    keys are task:step:column.
     """
     figure, axes = panels(4, 4.4, rows=2)
-    styles = dict(ours=dict(color=BLUE), printed=dict(color=GREY, linestyle="--"))
+    labels = dict(longer="a longer step", paper="the paper's")
+    styles = dict(longer=dict(color=BLUE), paper=dict(color=GREY, linestyle="--"))
     for i, task in enumerate(dict.fromkeys(key.split(":")[0] for key in c)):
         top, bottom = axes[i], axes[i + 4]
-        for run, style in styles.items():
-            if (name := f"{task}:{run}:steps") not in c:
-                continue
-            x = c[name] / 1e6
-            top.plot(
-                x,
-                c[f"{task}:{run}:alpha"],
-                label=dict(ours="our step", printed="the paper's")[run],
-                **style,
-            )
-            bottom.plot(x, c[f"{task}:{run}:power"], label=f"pi, {run}", **style)
-        x = c[f"{task}:ours:steps"] / 1e6
-        bottom.plot(x, c[f"{task}:ours:prime_power"], color=ORANGE, linestyle=":", linewidth=2)
+        for step, style in styles.items():
+            x = c[f"{task}:{step}:steps"] / 1e6
+            top.plot(x, c[f"{task}:{step}:alpha"], label=labels[step], **style)
+            bottom.plot(x, c[f"{task}:{step}:power"], **style)
+        x, prime = c[f"{task}:longer:steps"] / 1e6, c[f"{task}:longer:prime_power"]
+        bottom.plot(x, prime, color=ORANGE, linestyle=":", linewidth=2)
         top.set_title(task, fontsize=10)
         top.ticklabel_format(useOffset=False)
         bottom.set_ylim(0, 1000)
@@ -337,9 +348,9 @@ def escape(c):
     alpha.
     """
     figure, (left, right) = panels(2, 3.0)
-    for key, colour in zip([key for key in c if key.endswith(":v_x")], COLOURS, strict=False):
-        run = key.removesuffix(":v_x")
-        left.plot(c[f"{run}:iteration"], c[key], color=colour, label=run)
+    for run in (key.removesuffix(":v_x") for key in c if key.endswith(":v_x")):
+        style = "--" if "step" in run else "-"
+        left.plot(c[f"{run}:iteration"], c[f"{run}:v_x"], style, color=sweep.color(run), label=run)
     left.axhline(0.3, color=GREY, linestyle=":", linewidth=0.8)
     left.set(xlabel="iteration", ylabel="speed of the batch [m/s]", yscale="log", ylim=(0.01, 5))
     left.legend(frameon=False, fontsize=8, loc="upper right")
@@ -351,6 +362,27 @@ def escape(c):
         ylabel="growth of ln v_x in 100 iterations",
         xscale="log",
     )
+    return figure
+
+
+def valley(c):
+    """What a walk is worth on its way from standing, for several alpha; keys are panel:column."""
+    figure = Figure(figsize=(8, 3.1), layout="constrained")
+    names = list(dict.fromkeys(key.split(":")[0] for key in c if ":" in key))
+    panels = figure.subplots(1, len(names), sharey=True)
+    for axes, name in zip(panels, names, strict=True):
+        for alpha, shade in zip((100, 200, 400, 1000), (0.35, 0.55, 0.75, 1.0), strict=True):
+            worth = c[f"{name}:reward"] - c[f"{name}:F"] / alpha
+            axes.plot(c["amplitude"], worth, color=colormaps["Blues"](shade), label=f"{alpha}")
+        axes.plot(c["amplitude"], c[f"{name}:v_x"], ":", color=GREY, linewidth=2)
+        axes.set(xlabel="amplitude", title=name.replace(" with", "\nwith"))
+        axes.title.set_fontsize(10)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("J - F / alpha per step")
+    panels[0].text(0.0, 1.1, "dotted: speed [m/s]", color=GREY, fontsize=8)
+    handles = panels[0].get_legend_handles_labels()
+    figure.legend(*handles, title="alpha", loc="outside right center", frameon=False, fontsize=8)
     return figure
 
 
@@ -526,7 +558,7 @@ def robot(c):
         ("body", GREEN, "trunk's frame"),
         ("heading", "#cc79a7", "heading frame"),
     ):
-        start = put(*c["origin"]) if prefix == "body" else put(-0.06, 0.0, 0.0)
+        start = put(*c["origin"]) if prefix == "body" else put(-0.62, 0.1, 0.12)
         for axis in "xyz":
             end = start + across @ c[f"{prefix}_{axis}"]
             left.annotate(
@@ -545,9 +577,9 @@ def robot(c):
                 weight="bold",
                 zorder=6,
             )
-        x, y = start + np.array([-0.13, 0.16] if prefix == "body" else [0.0, -0.02])
+        x, y = start + np.array([-0.17, 0.16] if prefix == "body" else [0.0, -0.04])
         left.text(x, y, name, color=colour, fontsize=9, ha="center", va="top", zorder=4)
-    left.set(aspect="equal", ylim=(-0.1, 0.57))
+    left.set(aspect="equal", ylim=(-0.1, 0.57), xlim=(-0.58, 0.42))
     left.axis("off")
     for key, colour, style, width in (("target", GREY, "o--", 1.5), ("leg", BLUE, "o-", 4)):
         right.plot(c[key + "_x"], c[key + "_z"], style, color=colour, linewidth=width, markersize=7)
@@ -594,13 +626,17 @@ def motor(c):
     return figure
 
 
+def kind_colour(run, otherwise):
+    """The colour of a kind of run, EIPO or PPO(lambda), as in the figures of results/."""
+    return sweep.color(run) if run.startswith(("EIPO", "PPO(")) else otherwise
+
+
 def lines(axes, c, column):
     """A line for each run over environment steps, and a dotted one for pi'; keys of c are
     run:column.
     """
-    for run, colour in zip(
-        dict.fromkeys(key.split(":")[0] for key in c if ":" in key), COLOURS, strict=False
-    ):
+    runs = dict.fromkeys(key.split(":")[0] for key in c if ":" in key)
+    for run, colour in zip(runs, map(kind_colour, runs, COLOURS), strict=True):
         for name, style, label in ((column, "-", run), (f"prime_{column}", ":", f"{run}, pi'")):
             if f"{run}:{name}" in c:
                 axes.plot(
@@ -647,54 +683,6 @@ def runs(c):
     return figure
 
 
-def paper(c):
-    """Our Figures 2 to 6: a line for each run; keys are panel:run:axis."""
-    figure, axes = panels(3, 4.9, rows=2)
-    labels = dict(
-        fig2="Fig. 2: reward, flat",
-        fig3="Fig. 3: reward, rough",
-        energy="Fig. 3: energy [J/m], rough",
-        fig5="Fig. 5: reward, Eq. (8)",
-        power="Fig. 5: power [W]",
-        fig6="Fig. 6: v_x [m/s]",
-    )
-    runs = list(dict.fromkeys(key.split(":")[1] for key in c))
-    colours = dict(zip(runs, COLOURS, strict=False))
-    for (panel, label), a in zip(labels.items(), axes, strict=True):
-        for run in runs:
-            if f"{panel}:{run}:x" in c:
-                a.plot(c[f"{panel}:{run}:x"], c[f"{panel}:{run}:y"], color=colours[run], label=run)
-        a.set(xlabel="time [s]" if panel == "fig6" else "command v_x [m/s]", ylabel=label)
-    axes[2].set_yscale("log")
-    handles = {
-        label: line
-        for a in axes
-        for line, label in zip(*a.get_legend_handles_labels(), strict=True)
-    }
-    style = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    figure.legend(handles.values(), handles.keys(), **style)
-    return figure
-
-
-def readings(c):
-    """Speed and power over environment steps of runs of one task; keys are run:column."""
-    figure, (left, right) = panels(2, 3.1)
-    for axes, name, label in (
-        (left, "v_x", "v_x of the batch [m/s]"),
-        (right, "power", "power [W]"),
-    ):
-        lines(axes, c, name)
-        axes.set_ylabel(label)
-    figure.legend(
-        *left.get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=9,
-    )
-    return figure
-
-
 FIGURES = {
     f.__name__: f
     for f in (
@@ -704,6 +692,7 @@ FIGURES = {
         ahead,
         pace,
         escape,
+        valley,
         reward,
         ground,
         commands,
@@ -713,7 +702,5 @@ FIGURES = {
         motor,
         mirror,
         runs,
-        paper,
-        readings,
     )
 }
