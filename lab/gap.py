@@ -3,7 +3,8 @@ noise and without it.
 
 In training alpha follows the gap between two noisy policies, and what is evaluated in the end has
 no noise. Both policies of a run's last checkpoint go on from where their robots are, in the world
-of training. Rewards are of the task, per step.
+of training. Rewards are of the task, per step, and `training_gap` is the one of lambda-returns that
+alpha followed in the last iterations.
 """
 
 from pathlib import Path
@@ -50,4 +51,4 @@ def row(folder):
         pi, prime = (mean_reward(env, side.params, start, noisy) for env, side, start in sides)
         columns |= {f"{name}_pi": pi, f"{name}_prime": prime, f"{name}_gap": pi - prime}
     columns["training_gap"] = float(metrics.read(folder)["gap"][-LAST:].mean())
-    return columns | dict(same_sign=columns["quiet_gap"] * columns["training_gap"] > 0)
+    return columns | dict(same_sign=columns["quiet_gap"] * columns["noisy_gap"] > 0)

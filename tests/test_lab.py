@@ -1361,7 +1361,7 @@ def test_gap_is_measured_with_noise_and_without(tmp_path, capsys, monkeypatch):
     assert row["noisy_gap"] != row["quiet_gap"]
     trained = metrics.read(out)["gap"][0]
     assert row["training_gap"] == trained
-    assert row["same_sign"] == (np.sign(row["quiet_gap"]) == np.sign(trained))
+    assert row["same_sign"] == (np.sign(row["quiet_gap"]) == np.sign(row["noisy_gap"]))
 
 
 def test_mean_reward_leaves_out_the_first_second(monkeypatch):
