@@ -25,6 +25,7 @@ SECONDS = 90  # in which the page must have shown a robot; on an idle core it ta
 @pytest.fixture
 def server(tmp_path):
     """`play.py --web` of the shipped policy on a free port: the process and its port."""
+    pytest.importorskip("mujoco.studio")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     argv = ["play.py", "results/flat", "--web", "--port", str(port), "--command", "0.6", "0", "0"]
@@ -91,7 +92,6 @@ def test_a_robot_runs_in_the_browser(server, tmp_path):
     """The page draws the scene, of many colours, and a second later something has moved in its
     middle, where the camera keeps the robot. Ctrl-C ends the server.
     """
-    pytest.importorskip("mujoco.studio")
     process, port = server
     page = Page(f"http://127.0.0.1:{port}/", tmp_path / "profile")
     try:
@@ -107,7 +107,6 @@ def test_a_robot_runs_in_the_browser(server, tmp_path):
 
 def test_only_this_machine_may_look(server):
     """Nothing listens on the other addresses of this machine."""
-    pytest.importorskip("mujoco.studio")
     _, port = server
     table = subprocess.run(["cat", "/proc/net/tcp"], capture_output=True, text=True).stdout
     listening = [line.split()[1] for line in table.splitlines() if f":{port:04X} " in line]
