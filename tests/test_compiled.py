@@ -17,13 +17,13 @@ from networks import Mirror
 T, N = 24, 4096  # 98,304 rows
 
 
-@pytest.fixture(scope="module", params=[(64, 32), pytest.param(None, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[(16, 8), pytest.param(None, marks=pytest.mark.slow)])
 def sides(request):
     """Pairs (compiled, eager) of the estimate of a rollout, and of the loss's gradient and log.
 
     The second time everything is as wide as on the flat task, which takes a minute.
     """
-    widths = dict(hidden=request.param, hidden_estimator=(16,)) if request.param else {}
+    widths = dict(hidden=request.param, hidden_estimator=(8,)) if request.param else {}
     cfg = eipo.Config(lam=0.005, num_envs=N, num_steps=T, **widths)
     history = dict(history=1) if request.param else {}
     env = go1_env.Go1Env(1, tasks.task_config("flat", **history), threads=1)
