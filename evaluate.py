@@ -163,14 +163,15 @@ def finite_mean(x):
 def interval(x, statistic=np.mean, **options):
     """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [IV-D].
 
-    The statistic takes the k rows, which are k numbers of n episodes. NaN if n is 1.
-    options: as for scipy.stats.bootstrap
+    The statistic takes the k rows, which are k numbers of n episodes. NaN if n is 1. An end that
+    lies among infinite values is infinite. options: as for scipy.stats.bootstrap
     """
     if len(x[0]) < 2:
         return np.nan, np.nan
     options |= dict(method="percentile", n_resamples=2000, rng=np.random.default_rng(SEED))
-    with np.errstate(invalid="ignore"):  # infinite J/m have no standard error
-        return stats.bootstrap(x, statistic, paired=True, **options).confidence_interval
+    with np.errstate(invalid="ignore"):  # between infinite values SciPy finds none, and warns
+        ends = stats.bootstrap(x, statistic, paired=True, **options).confidence_interval
+    return tuple(np.where(np.isnan(ends), np.inf, ends))
 
 
 def summary(played, nominal, commands):

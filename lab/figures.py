@@ -94,11 +94,13 @@ def draw_lines(axes, rows, x, column):
 
 
 def name_lines(axes):
-    """Write the name of each line of the axes beside its end, in its color, one above the other."""
-    (low, high), log = axes.get_ylim(), axes.get_yscale() == "log"
-    low, high = (np.log(x) if log else x for x in (low, high))
-    ends = np.array([line.get_ydata()[np.isfinite(line.get_ydata())][-1] for line in axes.lines])
-    ends = ((np.log(ends) if log else ends) - low) / (high - low)
+    """Write the name of each line of the axes beside its end, in its color, one above the other.
+
+    A line without a finite number ends at the top: robots that do not move spend infinite J/m.
+    """
+    to_axes = axes.transScale + axes.transLimits  # from data, also on a logarithmic axis
+    finite = [y[np.isfinite(y)] for y in (line.get_ydata() for line in axes.lines)]
+    ends = [to_axes.transform((0, y[-1]))[1] if len(y) else 1.0 for y in finite]
     order, step = np.argsort(ends), 0.055
     places = np.clip(ends, 0, 1)
     for below, above in pairwise(order):

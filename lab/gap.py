@@ -50,5 +50,6 @@ def row(folder):
         sides = zip(envs, (state.pi, state.pi_prime), (state.start, state.start_prime), strict=True)
         pi, prime = (mean_reward(env, side.params, start, noisy) for env, side, start in sides)
         columns |= {f"{name}_pi": pi, f"{name}_prime": prime, f"{name}_gap": pi - prime}
-    columns["training_gap"] = float(metrics.read(folder)["gap"][-LAST:].mean())
+    gaps = metrics.read(folder).get("gap", np.array([np.nan]))  # a file without rows has none
+    columns["training_gap"] = float(gaps[-LAST:].mean())
     return columns | dict(same_sign=columns["quiet_gap"] * columns["noisy_gap"] > 0)

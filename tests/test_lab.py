@@ -179,7 +179,6 @@ def test_rows_and_size_of_a_figure(runs, what, names, key, expected, columns, si
     for row in rows:
         for column in columns.split():
             number, low, high = (float(row[column + part]) for part in ("", "_low", "_high"))
-            high = np.inf if np.isnan(high) else high  # of an older SciPy
             assert np.isnan(number) or np.isnan(low) or -3 <= low <= number <= high
     if what == "fig2":
         assert {
@@ -268,6 +267,25 @@ def test_a_seed_without_partner_has_no_interval_over_seeds(runs, scripted):
     assert [float(row["performance"]) for row in rows] == [100 * i + 3.5 for i in range(3)]
     assert float(rows[0]["energy"]) == 14
     assert distinct(rows, "performance_seeds_low", "performance_seeds_high") == [("nan", "nan")]
+
+
+def test_robots_that_stand_at_every_command_are_drawn(runs, scripted, unsaved, monkeypatch):
+    """Their energy per metre is infinite everywhere, so that line has no end to write a name at."""
+    play = evaluate.run_episodes
+    still = lambda *args: (seen := play(*args))._replace(v_x=0 * seen.v_x)  # noqa: E731
+    monkeypatch.setattr(evaluate, "run_episodes", still)
+    run("fig2", runs["flat"], "--episodes", 24)
+    ((rows, figure),) = unsaved
+    assert {row["energy"] for row in rows} == {row["energy_high"] for row in rows} == {np.inf}
+    assert [text.get_text() for text in figure.axes[1].texts] == ["EIPO"]
+
+
+def test_names_stand_beside_the_ends_of_their_lines(runs, scripted, unsaved):
+    """Two kinds that end at one number: the second name stands 0.055 of the height above."""
+    run("fig2", runs["flat"], runs["flat_ppo"], "--episodes", 24)
+    ((_, figure),) = unsaved
+    (x, low), (u, high) = sorted(text.xyann for text in figure.axes[0].texts)
+    assert x == u > 1 and high - low == pytest.approx(0.055)
 
 
 def test_table1_by_hand(runs, scripted, unsaved):
