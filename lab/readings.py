@@ -16,6 +16,9 @@ noisy       the exploration noise, which starts at 1, never falls below a standa
 own         pi has a curriculum of commands of its own. Here the two policies share one, so
             that the successes of pi_prime also make the commands of pi harder. It asks whether pi
             stands for long because of that
+yoked       PPO whose alpha is, in every iteration, that of another run, as in `readings yoked
+            results/velocity/NAME --task velocity --algo ppo --lam 0.01`. There is no pi_prime. It
+            asks whether EIPO is more than its schedule of alpha
 
 Other readings need no code: `--ent-coef 0.01` is the lab's entropy bonus, `--clip torque` is Eq.
 (9) as printed, and `--lr-alpha 2 --dampening-alpha 0.99` lets alpha move by 1 % of 200 in an
@@ -24,13 +27,17 @@ iteration.
 
 import math
 import sys
+from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 
 import curriculum
 import eipo
 import ppo
 import train
+from lab import record
+from runtime import metrics
 
 
 def normalised(stream):
@@ -108,9 +115,34 @@ def with_own_commands(make_envs):
     return made
 
 
+def alpha_of(run):
+    """Iterations and alpha of a run: a run folder, or results/TASK/NAME, where every tenth is."""
+    run = Path(run)
+    rows = [row for row in record.read(run.parent / record.METRICS) if row["run"] == run.name]
+    if not rows:
+        if not (run / "metrics.csv").exists():
+            raise ValueError(f"{run} has no metrics.csv: name a run folder or results/TASK/NAME")
+        columns = metrics.read(run)
+        return columns["iteration"], columns["alpha"]
+    return [np.array([float(row[name]) for row in rows]) for name in ("iteration", "alpha")]
+
+
+def yoked(ppo, iterations, alphas):
+    """`eipo.ppo` with an alpha of another run, which is interpolated between its iterations."""
+
+    def trained(env, cfg, state=None):
+        state = state or eipo.init_state(env, None, cfg)
+        while state.iteration < cfg.iterations:
+            alpha = float(np.interp(state.iteration + 1, iterations, alphas))
+            state, numbers = next(ppo(env, cfg, state._replace(dual=eipo.Dual(alpha, 0.0))))
+            yield state, numbers
+
+    return trained
+
+
 def main(reading, argv):
     """Train with one reading; returns the exit status."""
-    readings = ("exchange", "normalised", "fixed", "noisy", "own")
+    readings = ("exchange", "normalised", "fixed", "noisy", "own", "yoked")
     if reading not in readings:
         print(
             f"readings.py: unknown reading {reading!r}: choose one of {', '.join(readings)}",
@@ -123,6 +155,11 @@ def main(reading, argv):
         ppo.LOG_STD_RANGE = math.log(0.6), ppo.LOG_STD_RANGE[1]
     elif reading == "own":
         train.make_envs = with_own_commands(train.make_envs)
+    elif reading == "yoked":
+        if not argv:
+            raise ValueError("yoked needs the run that gives alpha: a folder, or results/TASK/NAME")
+        leader, *argv = argv
+        eipo.ppo = yoked(eipo.ppo, *alpha_of(leader))
     else:
         eipo.mix = dict(normalised=mix_normalised, fixed=mix_fixed)[reading]
     return train.main(argv)

@@ -81,6 +81,22 @@ def test_exchange_weighs_what_it_borrows(tmp_path):
     assert all(0 < float(row["borrowed"]) <= 1 for row in trained(tmp_path, "exchange"))
 
 
+def test_yoked_takes_alpha_from_another_run(tmp_path):
+    """The other run has alpha 100 in iteration 1 and 300 in iteration 3, so iteration 2 has 200.
+
+    A run of results/ is found by its name there, with every tenth iteration. Its alpha starts at
+    1 / 0.01 = 100 and moves by less than 10 in the first ten, see D38.
+    """
+    leader = tmp_path / "leader"
+    leader.mkdir()
+    (leader / "metrics.csv").write_text("iteration,alpha\n1,100\n3,300\n")
+    rows = trained(tmp_path, "yoked", str(leader), "--algo", "ppo", "--lam", "0.5")
+    assert [float(row["alpha"]) for row in rows] == [100, 200]
+    kept = ROOT / "results" / "velocity" / "binding1000-eipo-lam0.01-seed0"
+    iterations, alphas = readings.alpha_of(kept)
+    assert iterations[0] == 10 and iterations[-1] == 1000 and 100 <= alphas[0] < 110
+
+
 def test_an_unknown_reading_is_named(capsys):
     assert readings.main("fxied", []) == 2
     assert "unknown reading 'fxied'" in capsys.readouterr().err
