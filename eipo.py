@@ -144,7 +144,9 @@ def eipo(env, env_prime, cfg, state=None):
 def ppo(env, cfg, state=None):
     """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
     state = state or init_state(env, None, cfg)
-    pi, dual, start = state.pi, state.dual, state.start
+    pi = state.pi
+    dual = state.dual
+    start = state.start
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, start, log = rollout(env, pi.params, start, key, cfg)
@@ -216,7 +218,9 @@ def rollout(env, params, start, key, cfg):
     often what is boolean was true.
     """
     heads = len(params["critic"][-1].bias)
-    steps, finals, logs = [], [], []
+    steps = []
+    finals = []
+    logs = []
     for t in range(cfg.num_steps):
         action = np.asarray(act(params, start[0], key, t))
         obs, reward, terminated, truncated, info = env.step(action)
@@ -229,7 +233,8 @@ def rollout(env, params, start, key, cfg):
     padding = -len(final[0]) % len(obs)  # to multiples of N, as JAX compiles anew for each shape
     final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
     tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), start, final)
-    log, columns = {}, {name: np.stack([step[name] for step in logs]) for name in logs[0]}
+    log = {}
+    columns = {name: np.stack([step[name] for step in logs]) for name in logs[0]}
     for name, column in columns.items():
         log[name] = int(column.sum()) if column.dtype == bool else float(column.mean())
     return tau, start, log

@@ -140,7 +140,8 @@ def run_episodes(policy, env, command=None):
         peak = np.where(alive, np.maximum(peak, v_x), peak)
         if t + 1 >= PEAK_STEPS:
             sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
-    performance, length = totals[0] / limit, totals[-1]
+    performance = totals[0] / limit
+    length = totals[-1]
     v_x, power, pitch, roll = totals[1:-1] / length
     v_x_late = np.divide(late[0], late[1], out=np.full(n, np.nan), where=late[1] > 0)
     return Episodes(performance, fell, v_x, v_x_late, power, peak, sustained, pitch, roll)

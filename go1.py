@@ -77,11 +77,9 @@ def build_model(timestep, ground, robot=None):
         for leg in LEGS:
             spec.geom(f"{leg}_foot").solref = [0.01, 1.0]
         floor = spec.geom("floor")
-        floor.type, floor.hfieldname, floor.pos = (
-            mujoco.mjtGeom.mjGEOM_HFIELD,
-            "ground",
-            [*half, low],
-        )
+        floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
+        floor.hfieldname = "ground"
+        floor.pos = [*half, low]
     return spec.compile()
 
 

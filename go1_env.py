@@ -88,7 +88,9 @@ class Go1Env:
         self, num_envs, env_cfg=tasks.Config(), threads=None, stream=0, command_weights=None
     ):
         self.stream = (stream,) if stream else ()
-        self.num_envs, self.env_cfg, self.task = num_envs, env_cfg, tasks.TASKS[env_cfg.task]
+        self.num_envs = num_envs
+        self.env_cfg = env_cfg
+        self.task = tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
         self.mirror = mirror(env_cfg.history)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
@@ -107,7 +109,9 @@ class Go1Env:
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
         self.batch = batch = Batch(model, num_envs, threads or CORES)
-        self.qpos, self.qvel, self.ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        self.qpos = batch.bind("qpos")
+        self.qvel = batch.bind("qvel")
+        self.ctrl = batch.bind("ctrl")
         # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
         self.contacts = batch.bind("sensordata")
         if command_weights is None:
@@ -129,7 +133,8 @@ class Go1Env:
         """
         self.state.given[:] = np.nan if command is None else command
         self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=self.stream))
-        self.state.command_weights[:], self.state.tracked[:] = curriculum.initial_weights(), 0.0
+        self.state.command_weights[:] = curriculum.initial_weights()
+        self.state.tracked[:] = 0.0
         self._reset(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
@@ -146,12 +151,13 @@ class Go1Env:
                  final_obs, final_privileged: the same before autoreset, where an episode ended
                  log         {name: (N,)}: floats to be averaged, booleans to be counted
         """
-        state, limit = self.state, self.env_cfg.action_limit
+        state = self.state
         before = state.action.copy(), self.qvel[:, 6:].copy()
-        state.action[:] = np.clip(action, -limit, limit)
+        state.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
         power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * state.action)
         state.age += 1
-        linear, over_ground = self.body_velocity(), self.tracked_velocity("heading")
+        linear = self.body_velocity()
+        over_ground = self.tracked_velocity("heading")
         # MuJoCo resets a simulation that is not finite, and counts a warning: the episode ends
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
@@ -171,8 +177,7 @@ class Go1Env:
         state.frames[:, :-1] = state.frames[:, 1:]
         state.frames[:, -1] = self._frame()
         info = dict(cost=cost, log=log, final_obs=self._obs(), final_privileged=linear)
-        ended = np.flatnonzero(terminated | truncated)
-        if ended.size:
+        if (ended := np.flatnonzero(terminated | truncated)).size:
             self._reset(ended)
             linear = self.body_velocity()
         return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
@@ -187,7 +192,8 @@ class Go1Env:
         """What the next step depends on, beside the random generator: arrays that are only changed
         in place.
         """
-        n, batch = self.num_envs, self.batch
+        n = self.num_envs
+        batch = self.batch
         return SimpleNamespace(
             sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
             # (N, geoms, 3) [-], in the simulations, as the next three
@@ -226,11 +232,15 @@ class Go1Env:
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
         limited = self.task.torque_speed or self.env_cfg.motor_model
         forbidden = -4 if self.task.only_feet else 9  # of the contacts, those before this one
-        state, torques, speeds = self.state, [], [self.qvel[:, 6:].copy()]
+        state = self.state
+        torques = []
+        speeds = [self.qvel[:, 6:].copy()]
         fell = np.zeros(self.num_envs, bool)
         for _ in range(self.env_cfg.physics_steps):
-            state.targets[:-1], state.targets[-1] = state.targets[1:], target
-            q, qd = self.qpos[:, 7:], speeds[-1]
+            state.targets[:-1] = state.targets[1:]
+            state.targets[-1] = target
+            q = self.qpos[:, 7:]
+            qd = speeds[-1]
             torque = state.strength * motor(state.targets[0], q + state.offset, qd)
             self.ctrl[:] = go1.limit_torque(torque, qd, limited)
             torques.append(self.ctrl.copy())
@@ -258,7 +268,8 @@ class Go1Env:
             if self.env_cfg.frame == "heading"
             else self.tracked_velocity(self.env_cfg.frame)
         )
-        reward, log = self.task.reward(velocity, self.state.command), {}
+        reward = self.task.reward(velocity, self.state.command)
+        log = {}
         if self.task.curriculum:
             self.state.tracked += np.column_stack(rewards.kernels(velocity, self.state.command))
             log |= dict(command_area=np.full(self.num_envs, self.state.command_weights.mean()))
@@ -293,7 +304,9 @@ class Go1Env:
             return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
         to_world = self._to_world().as_matrix()
         yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
-        (x, y), sin, cos = self.qvel[:, :2].T, np.sin(yaw), np.cos(yaw)
+        x, y = self.qvel[:, :2].T
+        sin = np.sin(yaw)
+        cos = np.cos(yaw)
         return np.column_stack(
             [cos * x + sin * y, cos * y - sin * x, (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)]
         )
@@ -347,14 +360,18 @@ class Go1Env:
         """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command,
         history.
         """
-        n, uniform, state, env_cfg = len(ids), self.rng.uniform, self.state, self.env_cfg
+        n = len(ids)
+        uniform = self.rng.uniform
+        state = self.state
+        env_cfg = self.env_cfg
         # of joint angles, relative, and of the trunk's velocity, m/s and rad/s
         spread = env_cfg.start_spread
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         q = np.clip(go1.Q_NOMINAL * uniform(1 - spread, 1 + spread, (n, 12)), *self.joint_range)
         yaw = Rotation.from_rotvec(uniform(-np.pi, np.pi, n)[:, None] * [0.0, 0.0, 1.0])
         points = np.einsum("nij,nkj->nki", yaw.as_matrix(), go1.leg_points(q))
-        xy, ground = np.zeros((n, 2)), 0.0
+        xy = np.zeros((n, 2))
+        ground = 0.0
         if self.ground is not None:
             state.tile[ids] = self.rng.integers(env_cfg.tiles, size=n)
             xy = terrain.origin(state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
@@ -370,11 +387,9 @@ class Go1Env:
         state.gravity[ids] = GRAVITY + uniform(*env_cfg.gravity, (n, 3))
         state.strength[ids] = uniform(*env_cfg.motor_strength, (n, 1))
         state.offset[ids] = uniform(*env_cfg.motor_offset, (n, 12))
-        state.targets[:, ids], state.action[ids], state.age[ids], state.off_ground[ids] = (
-            go1.Q_NOMINAL,
-            0.0,
-            0,
-            1,
-        )
+        state.targets[:, ids] = go1.Q_NOMINAL
+        state.action[ids] = 0.0
+        state.age[ids] = 0
+        state.off_ground[ids] = 1
         self._draw_commands(ids)
         state.frames[ids] = self._frame(ids)[:, None]

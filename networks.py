@@ -64,7 +64,8 @@ def pairs(mirror):
     """
     index, sign = map(np.array, mirror)
     here = np.arange(len(index))
-    fixed, first = index == here, index >= here
+    fixed = index == here
+    first = index >= here
     even = np.flatnonzero(first & ~(fixed & (sign < 0)))
     odd = np.flatnonzero(first & ~(fixed & (sign > 0)))
     weight = np.where(fixed, 0.5, np.sqrt(0.5)).astype(np.float32)
@@ -263,7 +264,8 @@ def dense_layers(layers, seen, answered):
     def basis(mirror):  # x @ basis are the even, then the odd coordinates of x
         return np.hstack(even_odd(np.eye(len(mirror[0]), dtype=np.float32), mirror))
 
-    plain, entry = [], basis(seen)
+    plain = []
+    entry = basis(seen)
     for i, layer in enumerate(layers):
         n = layer.odd.shape[1]
         swap = (*range(n, 2 * n), *range(n)), (1,) * (2 * n)

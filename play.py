@@ -49,9 +49,12 @@ from runtime.flags import check_world
 # up, down, left, right: GLFW's codes
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
-# of a GIF; four seconds on rough ground take 2 MB
-SIZE, STEPS_PER_FRAME, COLOURS, LETTERS = (480, 270), 3, 64, 17
-NEWTON, ORANGE = 0.004, (255, 115, 0)  # of the arrows for contact forces: m per newton, and colour
+SIZE = (480, 270)  # pixels of a GIF; four seconds on rough ground take 2 MB
+STEPS_PER_FRAME = 3
+COLOURS = 64
+LETTERS = 17  # pixels, height
+NEWTON = 0.004  # m per newton of the arrows for contact forces
+ORANGE = (255, 115, 0)  # their colour
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 
 
@@ -80,7 +83,8 @@ def make_scene(env):
         margin = round(terrain.APRON / terrain.SPACING)
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
     model = env.build_model(ground)
-    model.vis.map.force, model.vis.rgba.contactforce[:3] = NEWTON, np.array(ORANGE) / 255
+    model.vis.map.force = NEWTON
+    model.vis.rgba.contactforce[:3] = np.array(ORANGE) / 255
     return model, mujoco.MjData(model)
 
 
@@ -89,15 +93,15 @@ def show(env, model, data):
     same forces.
     """
     state = env.state
-    model.body_mass[:], model.body_ipos[:], model.geom_friction[:] = (
-        state.mass[0],
-        state.com[0],
-        state.friction[0],
-    )
+    model.body_mass[:] = state.mass[0]
+    model.body_ipos[:] = state.com[0]
+    model.geom_friction[:] = state.friction[0]
     # of the trunk and its legs: the camera looks at their centre
     model.body_subtreemass[1] = state.mass[0].sum()
     model.opt.gravity[:] = state.gravity[0]
-    data.qpos[:], data.qvel[:], data.ctrl[:] = env.qpos[0], env.qvel[0], env.ctrl[0]
+    data.qpos[:] = env.qpos[0]
+    data.qvel[:] = env.qvel[0]
+    data.ctrl[:] = env.ctrl[0]
     if env.ground is not None:
         data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(state.tile[0])
     mujoco.mj_forward(model, data)
@@ -106,8 +110,10 @@ def show(env, model, data):
 def point(camera, env, model):
     """Let a camera follow the trunk, from the front right of where the robot heads now."""
     w, x, y, z = env.qpos[0, 3:7]
-    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
-    camera.distance, camera.elevation = 1.5, -18.0
+    camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+    camera.trackbodyid = model.body("trunk").id
+    camera.distance = 1.5
+    camera.elevation = -18.0
     camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
@@ -232,7 +238,10 @@ def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
     shown. Returns how often the robot fell in them.
     """
     model, data = make_scene(env)
-    images, camera, options, falls = [], mujoco.MjvCamera(), mujoco.MjvOption(), 0
+    images = []
+    camera = mujoco.MjvCamera()
+    options = mujoco.MjvOption()
+    falls = 0
     font = ImageFont.load_default(LETTERS)
     options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
     every = max(1, round(STEPS_PER_FRAME / slow))

@@ -73,7 +73,8 @@ def ppo_epochs(learner, data, key, cfg):
     """
     advantage = data["advantage"] - global_mean(data["advantage"])
     advantage = advantage / (jnp.sqrt(global_mean(jnp.square(advantage))) + 1e-8)
-    size, parts = advantage.size, cfg.num_minibatches
+    size = advantage.size
+    parts = cfg.num_minibatches
     data |= dict(advantage=advantage)
     data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
     keys = jax.random.split(key, cfg.num_epochs)

@@ -28,8 +28,8 @@ WEIGHTS = dict(
 )
 HEIGHT = 0.34  # m, of the trunk above the ground
 SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
-# contact sensors of go1.xml: of thighs and calves; of feet
-LEGS, FEET = [2, 4, 6, 8, 9, 10, 11, 12], slice(13, 17)
+LEGS = [2, 4, 6, 8, 9, 10, 11, 12]  # contact sensors of go1.xml: those of thighs and calves
+FEET = slice(13, 17)  # and those of feet
 
 
 class Motion(NamedTuple):
@@ -93,7 +93,8 @@ def terms(m):
     norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731
     linear, angular = rewards.kernels(m.velocity, m.command)
     moving = np.linalg.norm(m.command[..., :2], axis=-1) > 0.1
-    middle, half = m.joint_range.mean(0), SOFT_LIMIT * np.diff(m.joint_range, axis=0)[0] / 2
+    middle = m.joint_range.mean(0)
+    half = SOFT_LIMIT * np.diff(m.joint_range, axis=0)[0] / 2
     return dict(
         linear=linear,
         angular=angular,

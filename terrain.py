@@ -72,7 +72,8 @@ def make_ground(roughness, seed=0, cells_per_m=4):
     roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j
         SPACING.
     """
-    rng, margin = np.random.default_rng(seed), round(APRON / SPACING)
+    rng = np.random.default_rng(seed)
+    margin = round(APRON / SPACING)
     return np.hstack([np.pad(tile(rng, r, cells_per_m), margin, mode="wrap") for r in roughness])
 
 

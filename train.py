@@ -118,7 +118,8 @@ def repeat_arithmetic(threads):
     of cores.
     """
     jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
-    name, cores = run_folder.JAX_THREADS, str(go1_env.CORES)
+    name = run_folder.JAX_THREADS
+    cores = str(go1_env.CORES)
     now = os.environ.setdefault(name, threads or cores)
     if threads and now != threads:
         say(
@@ -184,7 +185,9 @@ def make_envs(env_cfg, cfg, threads):
 
 def begin(folder, env_cfg, cfg, options):
     """Both Configs, the environments and the State with which a run starts or goes on."""
-    checkpoint, lead, threads = folder / "checkpoint.npz", not options.process, None
+    checkpoint = folder / "checkpoint.npz"
+    lead = not options.process
+    threads = None
     if checkpoint.exists() and not options.resume and lead:
         raise ValueError(
             f"{folder} already holds a run: add --resume to continue it, or choose another --out"
@@ -208,11 +211,13 @@ def train(folder, env_cfg, cfg, options, command, stop):
     lead = not options.process
     env_cfg, cfg, envs, first_state = begin(folder, env_cfg, cfg, options)
     if lead:
-        log, first = metrics.Log(folder, first_state.iteration), None
+        log = metrics.Log(folder, first_state.iteration)
+        first = None
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         what = f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments."
         say(f"{what} Compiling (once, ~15 s) ...")
-    weights, before = envs[0].state.command_weights, envs[0].state.command_weights.copy()
+    weights = envs[0].state.command_weights
+    before = envs[0].state.command_weights.copy()
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, numbers in algorithm(*envs, cfg, first_state):
         check_learned(state, cfg)
@@ -244,8 +249,10 @@ def command_line(argv):
 def main(argv):
     """Parse, train, report. Returns the exit status."""
     given_options, given_env, given_learner = parse(argv)
-    options, command = Options(**given_options), command_line(argv)
-    lead, others = not options.process, (options.coordinator, options.processes, options.process)
+    options = Options(**given_options)
+    command = command_line(argv)
+    lead = not options.process
+    others = (options.coordinator, options.processes, options.process)
     try:
         folder, env_cfg, cfg = prepare(options, given_env, given_learner)
         with stop_at_boundary(folder) as stop:

@@ -25,8 +25,8 @@ JOINTS = dict(  # names that a leg's joints may have, after "FR_"
 # that the geom of a foot may have, after "FR"
 FEET = ("_foot", "", "_foot_collision", "_foot_geom")
 AXES = dict(hip=(1, 0, 0), thigh=(0, 1, 0), calf=(0, 1, 0))
-# as in go1.xml; episodes draw the first of a foot's
-FRICTION, FOOT_FRICTION = (0.6, 0.02, 0.01), (0.8, 0.02, 0.01)
+FRICTION = (0.6, 0.02, 0.01)  # as in go1.xml
+FOOT_FRICTION = (0.8, 0.02, 0.01)  # as there, and episodes draw the first number
 
 
 class OtherGo1(go1_env.Go1Env):
@@ -123,13 +123,20 @@ def set_contacts(world):
     for geom in world.geoms:
         if geom.parent.name != "world" and (geom.contype or geom.conaffinity):
             foot = geom.name in [f"{leg}_foot" for leg in go1.LEGS]
-            geom.contype, geom.conaffinity, geom.condim, geom.margin, geom.gap = 0, 1, 3, 0.0, 0.0
-            geom.priority, geom.friction = int(foot), FOOT_FRICTION if foot else FRICTION
+            geom.contype = 0
+            geom.conaffinity = 1
+            geom.condim = 3
+            geom.margin = 0.0
+            geom.gap = 0.0
+            geom.priority = int(foot)
+            geom.friction = FOOT_FRICTION if foot else FRICTION
             # a leg without looks is drawn as it collides
             geom.group = geom.group if geom.parent.name in visible else 2
-            geom.solref, geom.solimp = world.geom("floor").solref, world.geom("floor").solimp
+            geom.solref = world.geom("floor").solref
+            geom.solimp = world.geom("floor").solimp
     parts = [f"{leg}_{part}" for leg in go1.LEGS for part in ("hip", "thigh")]
-    body, geom = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
+    body = mujoco.mjtObj.mjOBJ_BODY
+    geom = mujoco.mjtObj.mjOBJ_GEOM
     calves = [x.name for leg in go1.LEGS for x in world.geoms if x.name.startswith(f"{leg}_calf")]
     sensed = [(body, name) for name in ("trunk", *parts)] + [(geom, name) for name in calves]
     for kind, name in sensed + [(geom, f"{leg}_foot") for leg in go1.LEGS]:

@@ -36,7 +36,8 @@ def of_run(folder, commands, each, args, roughness=None, nominal=False):
 
     args: the command line, of which clip and world are as for `evaluate.load`
     """
-    folder, commands = Path(folder), np.round(commands, 3)
+    folder = Path(folder)
+    commands = np.round(commands, 3)
     settings = args.clip, roughness, nominal, args.world
     if args.world is not go1_env.Go1Env:
         return play(folder, commands, each, settings)
@@ -46,7 +47,8 @@ def of_run(folder, commands, each, args, roughness=None, nominal=False):
     if all(rows.sum() == each for rows in mine):
         kept = np.concatenate([table[rows] for rows in mine])
         return Episodes(*kept[:, len(ASKED) :].T)
-    stamp, known = policy_file.stamp(folder), [int(rows.sum()) for rows in mine]
+    stamp = policy_file.stamp(folder)
+    known = [int(rows.sum()) for rows in mine]
     if min(known) and not stamp:
         raise ValueError(
             f"{folder} has no policy.npz, and its {run_folder.EPISODES} has {min(known)} episodes "

@@ -75,7 +75,8 @@ def draw_lines(axes, rows, x, column):
     for i, name in enumerate(names):
         mine = [row for row in rows if row["run"] == name]
         at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
-        color, alpha = sweep.color(name), 0.25 if len(names) < 4 else 0.1
+        color = sweep.color(name)
+        alpha = 0.25 if len(names) < 4 else 0.1
         style = (
             dict(linewidth=2.5, marker="o")
             if name == "EIPO"
@@ -101,7 +102,8 @@ def name_lines(axes):
     to_axes = axes.transScale + axes.transLimits  # from data, also on a logarithmic axis
     finite = [y[np.isfinite(y)] for y in (line.get_ydata() for line in axes.lines)]
     ends = [to_axes.transform((0, y[-1]))[1] if len(y) else 1.0 for y in finite]
-    order, step = np.argsort(ends), 0.055
+    order = np.argsort(ends)
+    step = 0.055
     places = np.clip(ends, 0, 1)
     for below, above in pairwise(order):
         places[above] = max(places[above], places[below] + step)
@@ -109,7 +111,8 @@ def name_lines(axes):
     for line, end, place in zip(axes.lines, ends, places, strict=True):
         style = dict(color=line.get_color(), fontsize=7, va="center", annotation_clip=False)
         arrow = dict(arrowstyle="-", color=line.get_color(), linewidth=0.6)
-        at, text = (1.0, max(end, 0)), (1.04, place)
+        at = (1.0, max(end, 0))
+        text = (1.04, place)
         style |= dict(xycoords="axes fraction", textcoords="axes fraction", arrowprops=arrow)
         axes.annotate(line.get_label(), at, text, **style)
 
@@ -257,7 +260,9 @@ def table1(folders, args):
 def save(out, what, rows, figure):
     """Write what.csv and what.png into the folder out: both, or if that fails neither."""
     rounded = ({k: f"{x:.5g}" if isinstance(x, float) else x for k, x in r.items()} for r in rows)
-    table, drawn, image = record.as_csv([*rounded]), io.BytesIO(), io.BytesIO()
+    table = record.as_csv([*rounded])
+    drawn = io.BytesIO()
+    image = io.BytesIO()
     figure.savefig(drawn, dpi=150, format="png")
     colours = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
     colours.save(image, "PNG", optimize=True)  # a third of the size

@@ -33,7 +33,8 @@ import tasks
 import terrain
 from runtime import run_folder
 
-SETTLE, WINDOW = 200, 200  # control steps, 4 s each: before anything is recorded, and recorded
+SETTLE = 200  # control steps, 4 s, before anything is recorded
+WINDOW = 200  # control steps, 4 s, that are recorded
 SHOWN = 2.0  # s, of which the feet are drawn
 STRIDES = (1.0, 15.0)  # Hz, among which the stride frequency is looked for
 LOCKED = 0.7  # the strides differ if a foot's agreement in `foot_phases` is less
@@ -59,7 +60,8 @@ class Watched:
     """A mujoco.batch.Batch, after each step of which look() is called."""
 
     def __init__(self, batch, look):
-        self.batch, self.look = getattr(batch, "batch", batch), look
+        self.batch = getattr(batch, "batch", batch)
+        self.look = look
 
     def __getattr__(self, name):
         return getattr(self.batch, name)
@@ -72,10 +74,13 @@ class Watched:
 
 def record(policy, env, command):
     """The Record of the robots of env. Arguments are those of `evaluate.steps`."""
-    physics, control, qd = [], [], env.qvel[:, 6:].copy()
+    physics = []
+    control = []
+    qd = env.qvel[:, 6:].copy()
 
     def look():  # after every physics step
-        before, qd[:] = qd.copy(), env.qvel[:, 6:]
+        before = qd.copy()
+        qd[:] = env.qvel[:, 6:]
         joints = env.state.targets[0], env.qpos[:, 7:], (before + qd) / 2, env.ctrl
         physics.append((env.contacts[:, -4:] > 0, *(x.astype(np.float32) for x in joints)))
 
@@ -122,7 +127,8 @@ def foot_phases(contact, frequency, dt):
     stances = np.zeros((stride[-1] + 1, 4), complex)
     np.add.at(stances, stride, contact * np.exp(2j * np.pi * turns)[:, None])
     stances = stances[: max(1, int(len(contact) * dt * frequency + 1e-6))]
-    common, size = (stances * stances[:, :1].conj()).sum(0), np.square(np.abs(stances)).sum(0)
+    common = (stances * stances[:, :1].conj()).sum(0)
+    size = np.square(np.abs(stances)).sum(0)
     common[0] = size[0]  # without the rounding that would make its phase almost 1
     return np.angle(common) / (2 * np.pi) % 1, np.abs(common) / np.sqrt(size * size[0])
 
@@ -183,7 +189,9 @@ def gait_row(seen, weight, env_cfg):
     hz = np.array([found[i][1] for i in same])
     phases = np.array([found[i][2] for i in same]).reshape(-1, 4)
     phases = np.round(np.angle(np.exp(2j * np.pi * phases).sum(0)) / (2 * np.pi), 6) % 1
-    contact, v_x, power = seen.contact[:, up], seen.v_x[:, up].mean(0), seen.power[:, up].mean(0)
+    contact = seen.contact[:, up]
+    v_x = seen.v_x[:, up].mean(0)
+    power = seen.power[:, up].mean(0)
     energy_per_m = float(evaluate.energy_per_metre(power, v_x)) if len(up) else np.nan
     row = dict(
         gait=gait,
@@ -236,9 +244,12 @@ def draw(axes, seen, env_cfg):
     four axes.
     """
     feet, height, attitude, power = axes
-    steps, n = env_cfg.physics_steps, round(SHOWN / env_cfg.timestep)
-    contact, legs = seen.contact[:n, 0], leg_power(seen, env_cfg.clip)[:n, 0]
-    time, body = env_cfg.timestep * np.arange(len(contact)), seen.body[: len(contact) // steps, 0]
+    steps = env_cfg.physics_steps
+    n = round(SHOWN / env_cfg.timestep)
+    contact = seen.contact[:n, 0]
+    legs = leg_power(seen, env_cfg.clip)[:n, 0]
+    time = env_cfg.timestep * np.arange(len(contact))
+    body = seen.body[: len(contact) // steps, 0]
     for j, (leg, colour) in enumerate(zip(go1.LEGS, COLOURS, strict=True)):
         feet.fill_between(
             time, -j - 0.4, -j + 0.4, where=contact[:, j], step="post", color=colour, linewidth=0
@@ -261,7 +272,8 @@ def gait(folders, args):
     """Footfalls by command: gait, duty factors, phases, stride frequency, power by leg. One robot
     of each is drawn.
     """
-    rows, drawn = [], []
+    rows = []
+    drawn = []
     for folder, v_x, env, seen in played(folders, args):
         row, i = gait_row(seen, -go1_env.GRAVITY[2] * env.state.mass.sum(1), env.env_cfg)
         rows.append(

@@ -89,7 +89,8 @@ def draw(figure, seen, joint_range, dt):
 
 def joints(folders, args):
     """Angle, speed and torque of every joint against its limits, and what heats it, by command."""
-    rows, drawn = [], []
+    rows = []
+    drawn = []
     for folder, v_x, env, seen in gait.played(folders, args):
         about = dict(run=folder.name, v_x_asked=v_x)
         rows += [about | row for row in joint_rows(seen, env.joint_range)]

@@ -129,7 +129,8 @@ def add(folders, results=None):
     replaced. Raises ValueError, and changes nothing, if one of these names stands for a run of
     other settings.
     """
-    results, tables = results or RESULTS, {}
+    results = results or RESULTS
+    tables = {}
     for folder in map(Path, folders):
         task = run_folder.load_config(folder)[0].task
         if task not in tables:

@@ -36,7 +36,8 @@ def reached(columns, level):
     means = np.convolve(columns["reward"], np.ones(20) / 20, "valid")
     if not (means >= level).any():
         return np.nan, np.nan
-    at, seconds = np.argmax(means >= level) + 19, np.diff(columns["time_s"], prepend=0.0)
+    at = np.argmax(means >= level) + 19
+    seconds = np.diff(columns["time_s"], prepend=0.0)
     # the clock starts anew where a run was resumed
     seconds = np.where(seconds < 0, columns["time_s"], seconds)
     return columns["steps"][at] / 1e6, seconds[: at + 1].sum() / 60
@@ -46,10 +47,12 @@ def seeds(folders, args):
     """How soon each run of one task learned, and what it does now: its `overview` and its learning
     curve.
     """
-    rows, figure = [], Figure(figsize=(6, 3.6), layout="constrained")
+    rows = []
+    figure = Figure(figsize=(6, 3.6), layout="constrained")
     axes = figure.subplots()
     for folder in map(Path, folders):
-        columns, task = metrics.read(folder), run_folder.load_config(folder)[0].task
+        columns = metrics.read(folder)
+        task = run_folder.load_config(folder)[0].task
         if not columns.keys() >= {"iteration", "steps", "reward", "time_s"}:
             raise ValueError(f"{folder / 'metrics.csv'} has no rows, or not the columns of a run")
         times = {

@@ -39,7 +39,8 @@ class Log:
 
     def row(self, iteration, metrics):
         """Write one row, and return it as a dict. Time counts from the last start or resumption."""
-        seconds, new = time.monotonic() - self.start, iteration - self.done
+        seconds = time.monotonic() - self.start
+        new = iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
         row = (
             dict(iteration=iteration)
@@ -94,7 +95,8 @@ def report(row, first, iterations):
     The time left takes the mean of all iterations since `first`, the first row of this process,
     which also compiled.
     """
-    iteration, timed = row["iteration"], row["iteration"] - first["iteration"]
+    iteration = row["iteration"]
+    timed = row["iteration"] - first["iteration"]
     seconds = (iterations - iteration) * (row["time_s"] - first["time_s"]) / max(1, timed)
     left = f"{seconds / 60:.0f} min left  " if timed else ""
     task = row.get("task_reward", row["reward"])  # a shaped reward is not the task's
@@ -122,6 +124,18 @@ def draw(folder, weights):
         say(f"train.py: no picture was drawn: {' '.join(str(error).split())}", sys.stderr)
 
 
+PANELS = dict(
+    reward="task reward per step",
+    v_x="speed ahead [m/s]",
+    power="power [W]",
+    falls="falls of a robot per minute",
+    gap="gap J(pi) - J(pi'): alpha rises below 0",
+    alpha="alpha, the weight of the task",
+    task_share="task's share of pi's objective",
+    std="exploration noise",
+)
+
+
 def draw_curves(folder):
     """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
     from matplotlib.figure import Figure  # here, because it is slow to import
@@ -133,34 +147,34 @@ def draw_curves(folder):
             columns[policy + "reward"] = columns[policy + "task_reward"]
         if policy + "ended_fall" in columns:
             columns[policy + "falls"] = columns[policy + "ended_fall"] / minutes(env_cfg, cfg)
-    panels = dict(
-        reward="task reward per step",
-        v_x="speed ahead [m/s]",
-        power="power [W]",
-        falls="falls of a robot per minute",
-        gap="gap J(pi) - J(pi'): alpha rises below 0",
-        alpha="alpha, the weight of the task",
-        task_share="task's share of pi's objective",
-        std="exploration noise",
-    )
-    figure = Figure(figsize=(14, 6), layout="constrained")
-    for axes, (name, title) in zip(figure.subplots(2, 4).flat, panels.items(), strict=True):
+    figure = Figure(figsize=(14, 6))
+    # by hand, because matplotlib's layout engines take longer than all the rest
+    figure.subplots_adjust(left=0.04, right=0.99, bottom=0.08, top=0.94, wspace=0.2, hspace=0.2)
+    axes = dict(zip(PANELS, figure.subplots(2, 4, sharex=True).flat, strict=True))
+    for name, title in PANELS.items():
         for column, label, color in ((name, "pi", "#0072B2"), (f"prime_{name}", "pi'", "#E69F00")):
             if column in columns and np.isfinite(columns[column]).any():
                 style = dict(label=label, color=color, linewidth=0.8)
-                axes.plot(columns["steps"] / 1e6, columns[column], **style)
-        axes.set(title=title, xlabel="million steps")
-        axes.grid(alpha=0.3)
-    reward, gap = figure.axes[0], figure.axes[4]
-    gap.axhline(0, color="black", linewidth=0.8)
-    for name, level in levels(env_cfg.task).items():
-        reward.axhline(level, color="black", linestyle=":", linewidth=0.8)
-        place = dict(transform=reward.get_yaxis_transform(), ha="right", va="bottom", fontsize=8)
-        reward.text(0.99, level, name, **place)
-    reward.legend(loc="lower right")
+                axes[name].plot(columns["steps"] / 1e6, columns[column], **style)
+        axes[name].set_title(title)
+        axes[name].grid(alpha=0.3)
+    for name in ("gap", "alpha", "task_share", "std"):  # the lower row
+        axes[name].set_xlabel("million steps")
+    axes["gap"].axhline(0, color="black", linewidth=0.8)
+    draw_levels(axes["reward"], env_cfg.task)
+    axes["reward"].legend(loc="lower right")
     run_folder.replace_file(
         folder / "curves.png", lambda file: figure.savefig(file, dpi=100, format="png")
     )
+
+
+def draw_levels(axes, task):
+    """Draw the `levels` of a task's reward as dotted lines with names."""
+    for name, level in levels(task).items():
+        axes.axhline(level, color="black", linestyle=":", linewidth=0.8)
+        place = dict(transform=axes.get_yaxis_transform(), ha="right", va="bottom", fontsize=8)
+        axes.text(0.99, level, name, **place)
+    axes.margins(y=0.08)  # room for the name of the highest one
 
 
 def minutes(env_cfg, cfg):

@@ -51,7 +51,8 @@ def trace(params, env_cfg):
     falls.
     """
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
-    env, rows = go1_env.Go1Env(1, world, 1), []
+    env = go1_env.Go1Env(1, world, 1)
+    rows = []
     obs, _ = env.reset(0, tasks.example(env_cfg.task))
     for _ in range(STEPS):
         seen = dict(

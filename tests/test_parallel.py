@@ -33,7 +33,7 @@ FLAGS = [
     "--iterations",
 ]
 ONE_BATCH = Config(
-    num_epochs=4, num_minibatches=1, hidden=(32, 16), hidden_estimator=(8,), mirror=False
+    num_epochs=4, num_minibatches=1, hidden=(8,), hidden_estimator=(8,), mirror=False
 )
 
 
@@ -204,12 +204,9 @@ def test_two_processes_make_the_update_of_one(finished):
     halves = [
         run_folder.read_npz(finished.with_name(f"{finished.name}.{i}.update.npz")) for i in range(2)
     ]
-    alone = arrays_of(*ppo.ppo_update(*data_of_an_update(2, 0)))
     before = data_of_an_update()[0].params["critic"][0].even
     name = "[0].params['critic'][0].even"
-    assert (
-        np.abs(whole[name] - before).max() > 1e-3 and np.abs(whole[name] - alone[name]).max() > 1e-4
-    )
+    assert np.abs(whole[name] - before).max() > 1e-3
     for name, x in whole.items():
         assert halves[0][name].tobytes() == halves[1][name].tobytes(), name
         np.testing.assert_allclose(halves[0][name], x, rtol=1e-5, atol=3e-7, err_msg=name)

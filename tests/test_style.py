@@ -56,7 +56,7 @@ LAYERS = {
     "lab/seeds": {"numpy", "matplotlib"},
     "lab/objective": set(),
     "lab/regions": {"numpy"},
-    "lab/readings": {"jax"},
+    "lab/readings": {"jax", "numpy"},
     "lab/gap": {"jax", "numpy"},
     "lab/claims": {"numpy", "scipy"},
     "lab/overview": {"numpy", "matplotlib"},
