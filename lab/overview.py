@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lab import claims, episodes, sweep
-from runtime import metrics, run_folder
+from runtime import flags, metrics, run_folder
 
 TASKS = dict(flat="task performance", rough="task performance", velocity="peak velocity [m/s]")
 FLOOR = dict(flat=1.4, rough=1.0, velocity=-1.0)  # a lower score is drawn there, as a triangle
@@ -35,7 +35,7 @@ def dots(folders):
 
 
 def scatter(axes, rows, x, y):
-    """A dot for each row, with a line between the seeds of a kind; EIPO blue, PPO by lambda."""
+    """A dot for each row: EIPO a blue diamond, PPO by lambda."""
     for algo, marker in (("ppo", "o"), ("eipo", "D")):
         for row in (row for row in rows if row["algo"] == algo):
             color = sweep.color(row["kind"])
@@ -44,9 +44,12 @@ def scatter(axes, rows, x, y):
 
 
 def tradeoff(folders, args):
-    """Score over power, a dot for each seed: up and left is better. What stands is a triangle."""
+    """Score over power, a dot for each seed: up and left is better. What stands is a triangle.
+
+    EIPO has its lambda_0 beside it, where that is not the task's own.
+    """
     rows = dots(folders)
-    figure = Figure(figsize=(12, 4), layout="constrained")
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
     for axes, (task, title) in zip(figure.subplots(1, len(TASKS)), TASKS.items(), strict=True):
         mine = [row for row in rows if row["task"] == task]
         low = [row for row in mine if row["score"] < FLOOR[task]]
@@ -57,6 +60,7 @@ def tradeoff(folders, args):
         axes.set(xscale="log", xlabel="power [W]", ylabel=title, title=task)
         axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
         axes.minorticks_off()
+        name_dots(axes, mine, flags.settle(dict(task=task), {})[1].lam)
     for name, speed in PRINTED.items():
         axes.axhline(speed, color="black", linestyle=":", linewidth=0.8)
         place = dict(transform=axes.get_yaxis_transform(), fontsize=7, va="bottom")
@@ -67,6 +71,24 @@ def tradeoff(folders, args):
         axes.scatter([], [], label=kind, **style)
     figure.legend(loc="outside right center", fontsize=8, title="a dot is a seed")
     return rows, figure
+
+
+def name_dots(axes, rows, usual):
+    """Write lambda_0 beside each dot of EIPO that has not the usual one.
+
+    Of four places around a dot it takes the one that is farthest from all dots and names.
+    """
+    axes.figure.draw_without_rendering()  # now the axes have their size
+    dots = axes.transData.transform([(row["power"], row["score"]) for row in rows])
+    taken = [*dots]
+    for row, dot in zip(rows, dots, strict=True):
+        if row["algo"] == "eipo" and row["lam"] != usual:
+            places = dot + np.array([(26, 0), (-26, 0), (0, 13), (0, -13)])  # pixels
+            free = [np.sort(np.hypot(*((taken - place) / (2, 1)).T))[0] for place in places]
+            place = places[np.argmax(free)]
+            style = dict(ha="center", va="center", fontsize=6)
+            axes.text(*axes.transData.inverted().transform(place), f"{row['lam']:g}", **style)
+            taken += [place]
 
 
 def lambdas(folders, args):

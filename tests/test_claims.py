@@ -4,6 +4,7 @@ import gzip
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from support import ROOT, error_of, make_run
 
 from lab import claims, episodes, overview, record
@@ -103,3 +104,21 @@ def test_dots_of_runs(tmp_path):
         assert points[0][1] == 1.5 and points[0][0] in (200, 0.005)
     with pytest.raises(ValueError, match="kept episodes"):
         overview.dots(folders[1:])
+
+
+def test_lambda_0_stands_beside_a_dot_where_nothing_else_is():
+    """The usual lambda_0 has no name. Of two dots side by side the left one's name is on its left,
+    because the other dot is on its right, and PPO has none.
+    """
+    axes = Figure().subplots()
+    axes.set(xlim=(0, 10), ylim=(0, 10))
+    rows = [
+        dict(algo="eipo", lam=0.01, power=4, score=5),
+        dict(algo="eipo", lam=0.005, power=5, score=5),
+        dict(algo="ppo", lam=0.02, power=2, score=2),
+    ]
+    rows += [dict(algo="ppo", lam=0, power=4, score=y) for y in (4, 6)]
+    overview.name_dots(axes, rows, 0.005)
+    (text,) = axes.texts
+    assert text.get_text() == "0.01" and text.get_position()[0] < 4
+    assert text.get_position()[1] == pytest.approx(5)
