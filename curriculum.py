@@ -16,8 +16,7 @@ LOW, HIGH = np.array([-1.0, -10.0]), np.array([10.0, 10.0])
 V_Y = (-0.6, 0.6)  # m/s, Section IV-A.4; v_y is drawn from all of it from the start
 START = 1.0  # m/s and rad/s: commands within +- this at first, Section IV-A.4
 CELL = 0.5  # m/s and rad/s, side of a cell [ours; the lab has 0.4]
-# a success adds this to the weights of its cell and its neighbours, and once more to its cell [lab
-# code]
+# a success adds this to its cell and the neighbours, and once more to its cell [lab code]
 BONUS = 0.2
 # in a success the means of the two kernels of Eq. (8) are above these [lab code]
 LINEAR, ANGULAR = 0.8, 0.5
@@ -48,15 +47,12 @@ def sample(weights, rng, n):
 
 
 def succeeded(linear, angular):
-    """Who followed the command, (n,) bool. linear, angular: (n,) means of the kernels of Eq. (8)
-    over ten seconds.
-    """
+    """Who followed the command, (n,) bool: linear, angular are (n,) ten-second means of kernels."""
     return (linear > LINEAR) & (angular > ANGULAR)
 
 
 def update(weights, cell, success):
-    """The weights after n commands have been tried: larger where there was a success (see BONUS),
-    at most 1.
+    """The weights after n commands were tried: larger after a success (see BONUS), at most 1.
 
     weights: (22, 40) or another grid; cell: (n, 2) of each command; success: (n,) bool
     """

@@ -34,7 +34,7 @@ class Config:
     """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
     algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
-    lam: float = 0.005  # [V-A] lambda_0; alpha starts (PPO: stays) at 1 / lam. 0: no energy term
+    lam: float = 0.005  # [V-A] lambda_0; alpha starts at 1 / lam. PPO: of Eq. (10), 0: no energy
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
     num_envs: int = 256  # [ours] environments in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
@@ -104,7 +104,7 @@ class Estimate(NamedTuple):
 
 
 def eipo(env, env_prime, cfg, state=None):
-    """Algorithm 1 as a generator. It yields the State after every iteration, and its metrics.
+    """Algorithm 1, for Eqs. (3) and (4), as a generator of the State and metrics of each iteration.
 
     env, env_prime: environments of pi and of pi_prime
     state:          the State to go on from, with env and env_prime as they were then, or None
@@ -112,7 +112,7 @@ def eipo(env, env_prime, cfg, state=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = state or init_state(env, env_prime, cfg)
+    state = state or init_state(env, env_prime, cfg)  # train.py passes one, with its own key
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
     start, start_prime = state.start, state.start_prime
@@ -263,7 +263,7 @@ def estimate(params, tau, cfg):
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
-    """GAE, the advantages (T, ...).
+    """GAE, the advantages (T, ...); with values 0 and gae_lambda 1 these are returns, Eq. (1).
 
     They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode.
 
@@ -283,7 +283,7 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
 
 
 def mix(advantage, alpha, lam):
-    """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6).
+    """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6). Line 8.
 
     advantage: (T, N, 2) of the streams r and lam f
 
@@ -293,19 +293,19 @@ def mix(advantage, alpha, lam):
     return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
 
 
-def estimate_J(estimate):
+def estimate_J(est):
     """J of a policy: the mean of the lambda-returns of the task in its rollout (L12).
 
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
-    return global_mean(estimate.target[..., 0])
+    return global_mean(est.target[..., 0])
 
 
 # ---- L13: the multiplier ----
 
 
 def step_alpha(dual, gap, cfg):
-    """The Dual after a step of gradient ascent on L of Eq. (4), with momentum. IV-C.c (D38).
+    """The Dual after a step of ascent on L of Eq. (4), with momentum. Line 13, IV-C.c (D38).
 
     gap: J(pi) - J(pi_prime)
 

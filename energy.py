@@ -18,6 +18,11 @@ SURVIVAL = 200.0
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
+def norm2(x):
+    """||x||^2 of x (..., n), (...,)."""
+    return np.square(x).sum(-1)
+
+
 def mechanical_power(torque, qd, clip):
     """Mechanical power that the motors draw [W]. Eq. (9), line 2: clip(tau, min=-3, max=1e4)^T qd.
 
@@ -46,7 +51,7 @@ def heating_power(torque, gear_ratio=GEAR_RATIO):
     gear_ratio: (12,)     [-]    motor torque per joint torque, relative to the hip motor
     returns     (...,)    [W]
     """
-    return HEATING * np.square(torque * gear_ratio).sum(-1)
+    return HEATING * norm2(torque * gear_ratio)
 
 
 def total_power(torque, qd, clip):
@@ -75,5 +80,4 @@ def smoothness_cost(torque, action, qdd):
     qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, by its length
     returns (...,) [-]
     """
-    norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731  ||x||^2
     return 2e-4 * norm2(torque) + 1e-2 * norm2(action) + 2.5e-7 * norm2(qdd)

@@ -23,14 +23,14 @@ if __name__ == "__main__":
 import go1_env
 import networks
 import tasks
-from runtime import policy_file, run_folder
+from runtime import policy_file
 from runtime.flags import check_world
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
-FORWARD = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
+COMMANDS = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
 UNITS = dict(v_x="m/s", peak="m/s", power="W", energy="J/m", pitch="degrees", roll="degrees")
 
@@ -39,7 +39,7 @@ class Episodes(NamedTuple):
     """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
     performance: np.ndarray  # [-] sum of the task reward / 1000; after a fall it counts as 0 [V-A]
-    fell: np.ndarray  # 0 or 1, whether the episode ended before the time limit
+    fell: np.ndarray  # bool, whether the episode ended before the time limit
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     v_x_late: np.ndarray  # [m/s] the same in the second half; NaN if the episode ended before it
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
@@ -96,8 +96,7 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, world=g
 
 
 def steps(policy, env, command=None):
-    """One episode of every robot; yields, per step, reward, log, who was still in the episode, and
-    who fell now.
+    """Play one episode of every robot. Yields of each step: reward, log, who is alive, who falls.
 
     command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; with None the task draws one for each
     """
@@ -152,7 +151,7 @@ def run_episodes(policy, env, command=None):
 
 def commands_of(task):
     """The commands (n, 3) of an evaluation: those of Figs. 2 to 4, or none where none has a v_x."""
-    return FORWARD if tasks.asks_speed(task) else np.zeros((1, 3))
+    return COMMANDS if tasks.asks_speed(task) else np.zeros((1, 3))
 
 
 def finite_mean(x):
@@ -232,15 +231,14 @@ def print_rows(rows):
         print("|", " | ".join(cells), "|", flush=True)
 
 
-def run_folders(paths):
-    """The run folders among paths; the others are named on stderr.
+def run_folders(paths, files=("policy.npz",)):
+    """The run folders among paths, which hold one of files; the others are named on stderr.
 
     Raises ValueError if one does not exist, or if none is left.
     """
     paths = [Path(path) for path in paths]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise ValueError(f"{missing[0]} does not exist: give run folders, which train.py makes")
-    files = "policy.npz", run_folder.EPISODES
     folders = [path for path in paths if any((path / name).exists() for name in files)]
     others = ", ".join(str(path) for path in paths if path not in folders)
     if not folders:

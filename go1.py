@@ -16,6 +16,8 @@ import terrain
 
 MODEL = Path(__file__).with_name("go1.xml")
 LEGS = ("FR", "FL", "RR", "RL")
+# which of go1.xml's 17 contact sensors are of trunk, hips and thighs, and of all but the feet
+NO_LEGS, NO_FEET = slice(9), slice(13)
 # rad, action 0 [lab code]
 Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
 # m: thigh and calf length, hip to thigh, sole [URDF]
@@ -37,14 +39,13 @@ STALL_TORQUE = 33.0  # N m, Section V-D
 
 
 def leg_points(q):
-    """Where a leg may touch the ground first: the centres (..., 8, 3) [m] of each leg's knee and
-    foot.
+    """The centres (..., 8, 3) [m] of each leg's knee and foot, where it may touch the ground first.
 
     q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of
         FOOT_RADIUS.
     """
     hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
-    # of the hip, knee then foot
+    # from the hip, in its frame: of the knee, then of the foot
     forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)
     up = -LINK * np.stack([np.cos(thigh), np.cos(thigh) + np.cos(thigh + calf)], -1)
     left = HIP_OFFSET * SIDE[:, None]
@@ -57,7 +58,7 @@ def build_model(timestep, ground, robot=None):
     """The MuJoCo model of the robot in go1.xml on a ground; timestep: [s] of the physics.
 
     ground: heights (ny, nx) [m] as terrain.make_ground returns them, or None for a plane
-    robot:  another MjSpec in the place of go1.xml, see adopt.py and robust.py in studies/
+    robot:  another MjSpec in the place of go1.xml, as lab/adopt.py and lab/robust.py have
     """
     spec = mujoco.MjSpec.from_file(str(MODEL)) if robot is None else robot.copy()
     spec.option.timestep = timestep

@@ -56,8 +56,9 @@ FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
 
 
 def mirror(history):
-    """How the mirrored robot's arrays come from the robot's: {"obs", "privileged", "action"}, each
-    a pair (index, sign) of tuples, such that entry i is sign[i] x[index[i]].
+    """The mirror as {"obs", "privileged", "action"}, each a pair (index, sign) of tuples.
+
+    Entry i of the mirrored robot's array is sign[i] x[index[i]].
     """
     index = [FRAME_WIDTH * frame + i for frame in range(history) for i in FRAME_MIRROR]
     spaces = dict(
@@ -90,20 +91,18 @@ class Go1Env:
         self.stream = (stream,) if stream else ()
         self.num_envs = num_envs
         self.env_cfg = env_cfg
-        self.task = tasks.TASKS[env_cfg.task]
+        self.rules = tasks.TASKS[env_cfg.task]
         self.obs_size = env_cfg.history * FRAME_WIDTH
         self.mirror = mirror(env_cfg.history)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead
         # (see step)
         mujoco.set_mju_user_warning(lambda message: None)
-        # a single tile has the greatest
+        # from the greatest, which a single tile gets
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]
-        self.ground = (
-            terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m)
-            if levels.any()
-            else None
-        )
+        self.ground = None
+        if levels.any():
+            self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m)
         model = self.build_model(self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
@@ -124,8 +123,7 @@ class Go1Env:
         return go1.build_model(self.env_cfg.timestep, ground)
 
     def reset(self, seed, command=None):
-        """Start a new episode for every robot; returns obs as `step` does, and of its info only
-        `privileged`.
+        """Start a new episode for every robot. Returns obs as `step` does, and info["privileged"].
 
         seed: int
         command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes;
@@ -148,7 +146,7 @@ class Go1Env:
         returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
                  cost        (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps
                  privileged  (N, 3) [m/s] body velocity
-                 final_obs, final_privileged: the same before autoreset, where an episode ended
+                 final_obs, final_privileged  the same of every robot, before any starts anew
                  log         {name: (N,)}: floats to be averaged, booleans to be counted
         """
         state = self.state
@@ -158,7 +156,7 @@ class Go1Env:
         state.age += 1
         linear = self.body_velocity()
         over_ground = self.tracked_velocity("heading")
-        # MuJoCo resets a simulation that is not finite, and counts a warning: the episode ends
+        # MuJoCo resets a simulation that is not finite, and counts a warning. Any warning ends it
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
         reward, log = self._reward(over_ground, *before)
@@ -171,7 +169,7 @@ class Go1Env:
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
         log = self._motion(over_ground, power) | log
         log |= dict(ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated)
-        if self.task.curriculum or self.env_cfg.max_power:
+        if self.rules.curriculum or self.env_cfg.max_power:
             log |= dict(ended_power=overload & ~fell & ~diverged)
         self._draw_commands(np.flatnonzero(state.age % self.env_cfg.command_steps == 0))
         state.frames[:, :-1] = state.frames[:, 1:]
@@ -189,9 +187,7 @@ class Go1Env:
         return dict(pitch=pitch, roll=roll, v_x=over_ground[:, 0], command_x=asked, power=power)
 
     def _blank_state(self, command_weights):
-        """What the next step depends on, beside the random generator: arrays that are only changed
-        in place.
-        """
+        """All that the next step depends on, but for the rng: arrays that change only in place."""
         n = self.num_envs
         batch = self.batch
         return SimpleNamespace(
@@ -222,16 +218,15 @@ class Go1Env:
         )
 
     def _physics(self, target):
-        """A control step with joint targets (N, 12) [rad]: means of its physics steps' power [W]
-        and cost; who fell.
+        """A control step with joint targets (N, 12) [rad]: its power [W], its cost, and who fell.
 
-        To fall is to touch the ground, however lightly, with trunk, hip or thigh, on
-        some tasks with anything but a foot. Contacts are those with which a physics step begins:
-        after the last one none is seen.
+        To fall is to touch the ground, however lightly, with trunk, hip or thigh, on some tasks
+        with anything but a foot. Contacts are those with which a physics step begins: after the
+        last one none is seen.
         """
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
-        limited = self.task.torque_speed or self.env_cfg.motor_model
-        forbidden = -4 if self.task.only_feet else 9  # of the contacts, those before this one
+        limited = self.rules.torque_speed or self.env_cfg.motor_model
+        forbidden = go1.NO_FEET if self.rules.only_feet else go1.NO_LEGS
         state = self.state
         torques = []
         speeds = [self.qvel[:, 6:].copy()]
@@ -245,32 +240,28 @@ class Go1Env:
             self.ctrl[:] = go1.limit_torque(torque, qd, limited)
             torques.append(self.ctrl.copy())
             self.batch.step()  # a joint may exceed the speed that the URDF gives for it
-            fell |= (self.contacts[:, :forbidden] > 0).any(-1)
+            fell |= (self.contacts[:, forbidden] > 0).any(-1)
             speeds.append(self.qvel[:, 6:].copy())
         torques, speeds = np.array(torques), np.array(speeds)
-        # A torque changes the speed during a physics step: its power takes the mean of speeds
-        # before and after
-        cost = energy.energy_cost(torques, (speeds[:-1] + speeds[1:]) / 2, self.env_cfg.clip).mean(
-            0
-        )
-        power = cost + energy.SURVIVAL  # the bonus is not drawn from the battery
+        # a torque changes the speed during a physics step: take the mean of before and after
+        speed = (speeds[:-1] + speeds[1:]) / 2
+        power = energy.total_power(torques, speed, self.env_cfg.clip).mean(0)
+        cost = energy.energy_cost(torques, speed, self.env_cfg.clip).mean(0)
         if self.env_cfg.aux == "smooth":
             qdd = (speeds[-1] - speeds[0]) / self.period
             cost = energy.smoothness_cost(torques, state.action, qdd).mean(0)
         return power, cost, fell
 
     def _reward(self, over_ground, action_before, qd_before):
-        """The reward (N,) of a step and its part of the log. *_before: action, qd [rad/s] of a
-        control step ago.
+        """The reward (N,) of a step, and its part of the log.
+
+        *_before: action and qd [rad/s], (N, 12), of a control step ago
         """
-        velocity = (
-            over_ground
-            if self.env_cfg.frame == "heading"
-            else self.tracked_velocity(self.env_cfg.frame)
-        )
-        reward = self.task.reward(velocity, self.state.command)
+        in_body = self.env_cfg.frame == "body"
+        velocity = self.tracked_velocity("body") if in_body else over_ground
+        reward = self.rules.reward(velocity, self.state.command)
         log = {}
-        if self.task.curriculum:
+        if self.rules.curriculum:
             self.state.tracked += np.column_stack(rewards.kernels(velocity, self.state.command))
             log |= dict(command_area=np.full(self.num_envs, self.state.command_weights.mean()))
         if self.env_cfg.reward == "shaped":
@@ -280,15 +271,12 @@ class Go1Env:
 
     def felt_gravity(self, ids=slice(None)):
         """Unit vectors (n, 3) along gravity in the trunk's frame, added gravity included."""
-        down = self.state.gravity[ids] / np.linalg.norm(
-            self.state.gravity[ids], axis=-1, keepdims=True
-        )
+        gravity = self.state.gravity[ids]
+        down = gravity / np.linalg.norm(gravity, axis=-1, keepdims=True)
         return self._to_world(ids).apply(down, inverse=True)
 
     def attitude(self):
-        """Pitch and roll (2, N) [degrees] of the trunk, positive with the nose up and with the
-        right side down.
-        """
+        """Pitch and roll (2, N) [degrees], positive with the nose up, the right side down."""
         x, y, z = self._to_world().as_matrix()[:, 2].T  # the vertical in the trunk's frame
         return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
 
@@ -297,8 +285,9 @@ class Go1Env:
         return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
 
     def tracked_velocity(self, frame):
-        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3), in the trunk's frame "body" or over ground,
-        "heading".
+        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3).
+
+        frame: "body" is the trunk's; "heading" is level, and turned with the robot
         """
         if frame == "body":
             return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
@@ -307,18 +296,15 @@ class Go1Env:
         x, y = self.qvel[:, :2].T
         sin = np.sin(yaw)
         cos = np.cos(yaw)
-        return np.column_stack(
-            [cos * x + sin * y, cos * y - sin * x, (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)]
-        )
+        yaw_rate = (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x, yaw_rate])
 
     def _to_world(self, ids=slice(None)):
         """Rotations from the trunk's frame to the world's, for the robots `ids`."""
         return Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
 
     def _frame(self, ids=slice(None)):
-        """One frame of the observation (n, FRAME_WIDTH), as in the table at the top of this
-        file.
-        """
+        """One frame of the observation (n, FRAME_WIDTH): the table at the top of this file."""
         phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * self.state.age[ids]
         frame = np.column_stack(
             [
@@ -335,31 +321,25 @@ class Go1Env:
         return FRAME_SCALE * (frame + noise)
 
     def _obs(self):
-        """The policy's observation: a copy of the history, flattened, (N, H * FRAME_WIDTH)
-        float32.
-        """
+        """The policy's observation (N, H * FRAME_WIDTH) float32: the frames, in a copy."""
         return self.state.frames.reshape(self.num_envs, -1).copy()
 
     def _draw_commands(self, ids):
-        """New commands [m/s, m/s, rad/s] for the robots `ids`; the curriculum learns how they
-        followed the old ones.
-        """
+        """New commands for the robots `ids`. The curriculum learns how they followed the old."""
         state = self.state
         if np.isfinite(state.given).all():
             state.command[ids] = state.given[ids]
-        elif self.task.curriculum:
+        elif self.rules.curriculum:
             success = curriculum.succeeded(*(state.tracked[ids] / self.env_cfg.command_steps).T)
             weights = state.command_weights
             weights[:] = curriculum.update(weights, state.cell[ids], success)
             state.tracked[ids] = 0.0
             state.command[ids], state.cell[ids] = curriculum.sample(weights, self.rng, len(ids))
         else:
-            state.command[ids] = self.rng.uniform(0.0, self.task.command_high, (len(ids), 3))
+            state.command[ids] = self.rng.uniform(0.0, self.rules.command_high, (len(ids), 3))
 
     def _reset(self, ids):
-        """Begin new episodes for the robots `ids`: pose, velocity, physical parameters, command,
-        history.
-        """
+        """Begin new episodes for the robots `ids`."""
         n = len(ids)
         uniform = self.rng.uniform
         state = self.state

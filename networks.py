@@ -21,6 +21,7 @@ K         outputs, or heads, of the critic: the value of the task and, for pi, t
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -43,6 +44,15 @@ class Mirror:
     action: tuple
 
 
+class Pairs(NamedTuple):
+    """How an array of n entries and its even and odd coordinates are made of each other."""
+
+    even: np.ndarray  # which entries stand for an even coordinate, and
+    odd: np.ndarray  # for an odd one; of two entries that M swaps, the first stands for both
+    weight: np.ndarray  # (n,) of each entry in its coordinates
+    pair: np.ndarray  # (n,) the number of the pair that each entry is in
+
+
 class Layer(NamedTuple):
     """A linear layer. Only even outputs have a bias, because right and left units share one."""
 
@@ -56,11 +66,10 @@ class Layer(NamedTuple):
 
 @lru_cache
 def pairs(mirror):
-    """Which entries stand for an even and for an odd coordinate (index arrays), the weight of each
-    entry in it, and the number of each entry's pair, (n,). mirror: (index, sign)
+    """The Pairs of a mirror (index, sign).
 
-    Of two entries that M swaps, the first stands for both coordinates. An entry that M maps onto
-    itself is an even coordinate if it keeps its sign, and an odd one if not.
+    An entry that M maps onto itself is an even coordinate if it keeps its sign, and an odd one if
+    not.
     """
     index, sign = map(np.array, mirror)
     here = np.arange(len(index))
@@ -70,7 +79,7 @@ def pairs(mirror):
     odd = np.flatnonzero(first & ~(fixed & (sign > 0)))
     weight = np.where(fixed, 0.5, np.sqrt(0.5)).astype(np.float32)
     pair = (np.cumsum(first) - 1)[np.minimum(here, index)]
-    return even, odd, weight, pair
+    return Pairs(even, odd, weight, pair)
 
 
 def reflect(x, mirror):
@@ -98,18 +107,18 @@ def joined(even, odd, mirror):
     if mirror is None:
         return even
     firsts = []
-    for part, where in zip((even, odd), pairs(mirror)[:2], strict=True):
+    for part, where in ((even, pairs(mirror).even), (odd, pairs(mirror).odd)):
         column = np.full(len(mirror[0]), len(where))  # a column of zeros, where nothing stands
         column[where] = np.arange(len(where))
         zero = jnp.zeros((*part.shape[:-1], 1), part.dtype)
         firsts.append(jnp.concatenate([part, zero], -1)[..., column])
-    weight = pairs(mirror)[2]
+    weight = pairs(mirror).weight
     return weight * (firsts[0] + firsts[1]) + reflect(weight * (firsts[0] - firsts[1]), mirror)
 
 
 def widths(size, mirror):
     """How many of `size` coordinates are even, and how many are odd."""
-    return (size, 0) if mirror is None else tuple(map(len, pairs(mirror)[:2]))
+    return (size, 0) if mirror is None else (len(pairs(mirror).even), len(pairs(mirror).odd))
 
 
 # ---- networks ----
@@ -129,11 +138,12 @@ def init_params(key, sizes, mirror, heads, cfg):
         return [(n // 2, n // 2) if mirror else (n, 0) for n in units]
 
     hidden = layers(cfg.hidden)
+    deviations = 1 + max(pairs(mirror.action).pair) if mirror else sizes[2]  # one for each pair
     k_actor, k_critic, k_estimator = jax.random.split(key, 3)
     params = dict(
         actor=dict(
             layers=init_mlp(k_actor, (both, *hidden, action)),
-            log_std=jnp.full(max(action), cfg.log_std, jnp.float32),  # one for each pair
+            log_std=jnp.full(deviations, cfg.log_std, jnp.float32),
         ),
         critic=init_mlp(k_critic, (both, *hidden, (heads, 0))),
         estimator=init_mlp(k_estimator, (obs, *layers(cfg.hidden_estimator), privileged)),
@@ -152,7 +162,7 @@ def init_mlp(key, sizes):
 
     layers = []
     keys = jax.random.split(key, len(sizes) - 1)
-    for k, (even_in, odd_in), (even, odd) in zip(keys, sizes, sizes[1:], strict=False):
+    for k, ((even_in, odd_in), (even, odd)) in zip(keys, pairwise(sizes), strict=True):
         k_even, k_odd, k_bias = jax.random.split(k, 3)
         layer = Layer(
             even=uniform(k_even, even_in, even_in, even),
@@ -188,26 +198,20 @@ def mirror_of(params, space):
 
 
 def policy(params, obs):
-    """Mean and standard deviation (..., A) of the action for obs (..., D), and the estimated body
-    velocity (..., P).
+    """Mean and deviation (..., A) of the action for obs (..., D), and estimated velocity (..., P).
 
     The actor sees the estimate, but the estimator learns from its own error alone.
     """
     obs = even_odd(obs, mirror_of(params, "obs"))
-    estimate = mlp(params["estimator"], *obs)
-    seen = [
-        jnp.concatenate(parts, -1)
-        for parts in zip(obs, jax.lax.stop_gradient(estimate), strict=True)
-    ]
+    velocity = mlp(params["estimator"], *obs)
+    blind = jax.lax.stop_gradient(velocity)
+    seen = [jnp.concatenate(parts, -1) for parts in zip(obs, blind, strict=True)]
     mirror = mirror_of(params, "action")
     mean = joined(*mlp(params["actor"]["layers"], *seen), mirror)
     std = jnp.exp(params["actor"]["log_std"])
-    std = std if mirror is None else std[pairs(mirror)[3]]  # right and left are equally noisy
-    return (
-        mean,
-        jnp.broadcast_to(std, mean.shape),
-        joined(*estimate, mirror_of(params, "privileged")),
-    )
+    std = std if mirror is None else std[pairs(mirror).pair]  # right and left are equally noisy
+    velocity = joined(*velocity, mirror_of(params, "privileged"))
+    return mean, jnp.broadcast_to(std, mean.shape), velocity
 
 
 def sample(params, obs, key):
@@ -249,14 +253,13 @@ def dense(params):
     both = (*m.obs[0], *(n + i for i in m.privileged[0])), m.obs[1] + m.privileged[1]
     layers = dense_layers(actor["layers"], both, m.action)
     return dict(
-        actor=dict(layers=layers, log_std=np.asarray(actor["log_std"])[pairs(m.action)[3]]),
+        actor=dict(layers=layers, log_std=np.asarray(actor["log_std"])[pairs(m.action).pair]),
         estimator=dense_layers(estimator, m.obs, m.privileged),
     )
 
 
 def dense_layers(layers, seen, answered):
-    """Layers of the plain MLP that equals a mirrored one. Its hidden units are the right and left
-    ones themselves.
+    """Layers of the plain MLP that equals a mirrored one, with right and left hidden units.
 
     seen, answered: the mirrors, (index, sign), of its input and of its output
     """

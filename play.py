@@ -75,9 +75,7 @@ def make_env(env_cfg, roughness=None, world=go1_env.Go1Env):
 
 
 def make_scene(env):
-    """Model and data to draw env with. The robot's tile is repeated, so that the ground goes on as
-    far as one sees.
-    """
+    """Model and data to draw env with. The robot's tile is repeated, as far as one sees."""
     ground = env.ground
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
@@ -89,9 +87,7 @@ def make_scene(env):
 
 
 def show(env, model, data):
-    """Put the drawn robot where the simulated one is, on the middle tile; the same torques make the
-    same forces.
-    """
+    """Put the drawn robot where the simulated one is, on the middle tile, with its torques."""
     state = env.state
     model.body_mass[:] = state.mass[0]
     model.body_ipos[:] = state.com[0]
@@ -132,8 +128,7 @@ def caption(log, command):
 
 
 def play(env, folder, command, follow=False, seed=0):
-    """Run the deterministic policy of a run folder forever; yields the log of each control step
-    (see Go1Env.step).
+    """Run the policy of a run folder, without noise, for ever. Yields the log of each control step.
 
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place
     follow:  whether to load policy.npz again whenever training has written a new one
@@ -152,9 +147,7 @@ def play(env, folder, command, follow=False, seed=0):
 
 
 def watch(env, steps, command, slow=1.0, forces=False):
-    """Show steps (an iterator of `play`) in the viewer, `slow` times slower than they are, until it
-    is closed.
-    """
+    """Show steps (an iterator of `play`) in the viewer, `slow` times slower, until it is closed."""
 
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
@@ -234,8 +227,9 @@ def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
 
 
 def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
-    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second that is not
-    shown. Returns how often the robot fell in them.
+    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second unseen.
+
+    Returns how often the robot fell in them.
     """
     model, data = make_scene(env)
     images = []

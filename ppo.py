@@ -1,7 +1,7 @@
 """Proximal policy optimization: a policy's update from one rollout, lines 9 and 11 of Algorithm 1.
 
 It knows nothing of EIPO. It takes one advantage for each sample, in which the streams of `eipo.py`
-are mixed already. The widths D, P, A and K are those of `networks.py`. Everything here is compiled.
+are mixed already. The widths D, P, A and K are those of `networks.py`.
 """
 
 from functools import partial
@@ -54,14 +54,17 @@ def optimizer(cfg):
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
-def ppo_update(learner, tau, estimate, advantage, key, cfg):
-    """All epochs and minibatches of one iteration; returns the new Learner and the log.
+def ppo_update(learner, tau, est, advantage, key, cfg):
+    """All epochs and minibatches of one iteration (L9, L11); returns the new Learner and the log.
+
+    tau, est:  eipo.Rollout and eipo.Estimate. `ppo_epochs` gets only what it needs of them, because
+               `tau.final` has another shape in each iteration, and JAX would compile anew
 
     advantage: (T, N), mixed. It is normalised here, once
     log:       means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action)
-    data |= dict(target=estimate.target, log_prob=estimate.log_prob, advantage=advantage)
+    data |= dict(target=est.target, log_prob=est.log_prob, advantage=advantage)
     return ppo_epochs(learner, data, key, cfg)
 
 

@@ -7,9 +7,9 @@ Every function takes
 
 with any leading batch shape. `flat`, `rough`, `max_velocity` and `curriculum` return (...,): the
 reward r of Eq. (1) for one control step. It has no unit, but that of Eq. (7) is in m/s. The learner
-scales it by the length of a step. The paper names no frame of reference for the velocity. The
-environment passes the velocity over ground, in the horizontal frame that is turned with the robot's
-heading, unless `tasks.Config.frame` says otherwise.
+scales it by 0.02 (`eipo.Config.reward_scale`). The paper names no frame of reference for the
+velocity. The environment passes the velocity over ground, in the horizontal frame that is turned
+with the robot's heading, unless `tasks.Config.frame` says otherwise.
 """
 
 import numpy as np
@@ -42,25 +42,19 @@ def rough(velocity, command):
 
 
 def max_velocity(velocity, command):
-    """Eq. (7) [m/s]. It has no bound, is negative for a robot that runs backwards, and takes no
-    command of v_x.
-    """
+    """Eq. (7) [m/s]. It has no bound, is negative backwards, and takes no command of v_x."""
     v_x, v_y, w_z, _, v_y_cmd, w_z_cmd = unpack(velocity, command)
     return v_x * exp(-square(v_y - v_y_cmd) / SIGMA_VXY - square(w_z - w_z_cmd) / SIGMA_WZ)
 
 
 def kernels(velocity, command):
-    """The two exponentials of Eq. (8), of linear and of angular velocity: (...,) [-] in [0, 1]
-    each.
-    """
+    """The exponentials of Eq. (8), of linear and of angular velocity: (...,) in [0, 1] each."""
     v_x, v_y, w_z, v_x_cmd, v_y_cmd, w_z_cmd = unpack(velocity, command)
     linear = exp(-(square(v_x - v_x_cmd) + square(v_y - v_y_cmd)) / SIGMA_VXY)
     return linear, exp(-square(w_z - w_z_cmd) / SIGMA_WZ)
 
 
 def curriculum(velocity, command):
-    """Eq. (8), at most 1.5. This is Eq. (5) without the min, so it is an error to run too fast as
-    well.
-    """
+    """Eq. (8), at most 1.5: Eq. (5) without the min, so it is an error to run too fast as well."""
     linear, angular = kernels(velocity, command)
     return linear + 0.5 * angular

@@ -11,6 +11,7 @@ import numpy as np
 
 import rewards
 import terrain
+from energy import norm2
 
 WEIGHTS = dict(
     linear=1.0,
@@ -28,8 +29,8 @@ WEIGHTS = dict(
 )
 HEIGHT = 0.34  # m, of the trunk above the ground
 SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
-LEGS = [2, 4, 6, 8, 9, 10, 11, 12]  # contact sensors of go1.xml: those of thighs and calves
-FEET = slice(13, 17)  # and those of feet
+LEG_CONTACTS = [2, 4, 6, 8, 9, 10, 11, 12]  # sensors of go1.xml: those of thighs and calves
+FOOT_CONTACTS = slice(13, 17)  # and those of feet
 
 
 class Motion(NamedTuple):
@@ -51,9 +52,7 @@ class Motion(NamedTuple):
 
 
 def observe(env, velocity, action_before, qd_before):
-    """The Motion of a Go1Env's robots after a control step. *_before: (N, 12) action, qd [rad/s] of
-    a step ago.
-    """
+    """The Motion of a Go1Env's robots; *_before: (N, 12) action, qd [rad/s] of a step ago."""
     ground = 0.0 if env.ground is None else terrain.height(env.ground, env.qpos[:, :2])
     return Motion(
         velocity=velocity,
@@ -64,8 +63,8 @@ def observe(env, velocity, action_before, qd_before):
         torque=env.ctrl,
         qdd=(env.qvel[:, 6:] - qd_before) / env.period,
         height=env.qpos[:, 2] - ground,
-        landed=landings(env.state.off_ground, env.contacts[:, FEET] > 0, env.period),
-        collisions=(env.contacts[:, LEGS] > 0).sum(-1),
+        landed=landings(env.state.off_ground, env.contacts[:, FOOT_CONTACTS] > 0, env.period),
+        collisions=(env.contacts[:, LEG_CONTACTS] > 0).sum(-1),
         action_change=env.state.action - action_before,
         q=env.qpos[:, 7:],
         joint_range=env.joint_range,
@@ -87,10 +86,7 @@ def landings(off_ground, touch, period):
 
 
 def terms(m):
-    """The terms of the shaped reward before their weights, a dict of (...,) in the order of
-    WEIGHTS. m: Motion.
-    """
-    norm2 = lambda x: np.square(x).sum(-1)  # noqa: E731
+    """The terms of the shaped reward, not weighted: a dict of (...,), in the order of WEIGHTS."""
     linear, angular = rewards.kernels(m.velocity, m.command)
     moving = np.linalg.norm(m.command[..., :2], axis=-1) > 0.1
     middle = m.joint_range.mean(0)

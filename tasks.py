@@ -115,9 +115,7 @@ TASKS = {
 
 @dataclass(frozen=True)
 class Config:
-    """Settings of the world. A field's tag says where its value comes from; `task_config` sets what
-    differs by task.
-    """
+    """Settings of the world, with their sources. `task_config` sets what differs by task."""
 
     task: str = "flat"  # [IV-A] flat, rough, velocity or curriculum
     history: int = 5  # [V-A] H, how many of the latest frames the policy sees (D16)
@@ -162,9 +160,7 @@ def asks_speed(task):
 
 
 def example(task):
-    """A command (3,) [m/s, m/s, rad/s] to show a task with: its greatest one, or 1 m/s ahead on
-    `curriculum`.
-    """
+    """A command (3,) to show a task with: its greatest one, on `curriculum` 1 m/s ahead."""
     return np.array(FORWARD if TASKS[task].curriculum else TASKS[task].command_high)
 
 

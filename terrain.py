@@ -19,23 +19,18 @@ SPACING = 0.05  # m, between two points of the height field [lab code]
 
 
 def fade(t):
-    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3. It rises from 0 at 0 to 1 at 1, both with slope and
-    curvature 0.
-    """
+    """Perlin's quintic 6 t^5 - 15 t^4 + 10 t^3, from 0 to 1, flat and uncurved at both ends."""
     return t**3 * (t * (6 * t - 15) + 10)
 
 
 def random_gradients(rng, cells):
-    """Random unit vectors (cells, cells, 2), one for each point of a periodic lattice. rng: numpy
-    Generator.
-    """
+    """Random unit vectors (cells, cells, 2), for the points of a periodic lattice."""
     angle = rng.uniform(0, 2 * np.pi, (cells, cells))
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def perlin(x, y, gradients):
-    """Perlin noise (...,) [-]. Each corner of a cell gives a plane that is 0 there; the four are
-    faded into each other.
+    """Perlin noise (...,) [-]: planes through 0 at a cell's four corners, faded into each other.
 
     x, y:      (...,) [cells] where to take the noise; it is 0 at the lattice points, where both are
                whole numbers
@@ -50,15 +45,13 @@ def perlin(x, y, gradients):
         return gradient[..., 0] * (u - a) + gradient[..., 1] * (v - b)
 
     s, t = fade(u), fade(v)
-    return (1 - t) * ((1 - s) * corner(0, 0) + s * corner(1, 0)) + t * (
-        (1 - s) * corner(0, 1) + s * corner(1, 1)
-    )
+    low = (1 - s) * corner(0, 0) + s * corner(1, 0)
+    high = (1 - s) * corner(0, 1) + s * corner(1, 1)
+    return (1 - t) * low + t * high
 
 
 def tile(rng, roughness, cells_per_m=4):
-    """Heights (n, n) [m] of one tile, n = TILE / SPACING. roughness: [m] from its lowest to its
-    highest point.
-    """
+    """Heights (n, n) [m] of a tile, n = TILE / SPACING; roughness: [m] from lowest to highest."""
     gradients = random_gradients(rng, round(TILE * cells_per_m))
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
     noise = perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
@@ -66,8 +59,7 @@ def tile(rng, roughness, cells_per_m=4):
 
 
 def make_ground(roughness, seed=0, cells_per_m=4):
-    """The height field (ny, nx) [m] of all tiles, which follow each other along x. Each has noise
-    of its own.
+    """The height field (ny, nx) [m]: tiles side by side along x, each with noise of its own.
 
     roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j
         SPACING.
@@ -78,23 +70,17 @@ def make_ground(roughness, seed=0, cells_per_m=4):
 
 
 def origin(index):
-    """The corner (..., 2) [m] where the tile `index` (...,) begins. It ends TILE further in x and
-    in y.
-    """
+    """The corner (..., 2) [m] of the tile `index` (...,). The tile ends TILE further in x and y."""
     return np.stack([PITCH * index + APRON, np.full(np.shape(index), APRON)], -1)
 
 
 def wrap(xy, index):
-    """The point (..., 2) [m] inside the tile `index` (...,) around which the ground is as around xy
-    (..., 2) [m].
-    """
+    """xy (..., 2) [m] moved into the tile `index` (...,), to where the ground is the same."""
     corner = origin(index)
     return xy - TILE * np.floor((xy - corner) / TILE)
 
 
 def height(ground, xy):
-    """Height (...,) [m] of the height field `ground` at xy (..., 2) [m], linear between its
-    points.
-    """
+    """Height (...,) [m] of the field `ground` at xy (..., 2) [m], linear between its points."""
     flat = xy.reshape(-1, 2).T / SPACING
     return map_coordinates(ground, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])

@@ -28,6 +28,7 @@ import curriculum
 import eipo
 import go1_env
 import networks
+import tasks
 from runtime import metrics, parallel, policy_file, run_folder
 from runtime.flags import CONFIGS, Options, check_learner, check_world, parse, settle, tuples
 
@@ -36,9 +37,7 @@ GIVE_UP = 10
 
 
 def settle_resumed(folder, given_env, given_learner):
-    """The Configs of the run in folder, with iterations raised if that was given. ValueError for
-    other changes.
-    """
+    """The Configs of the run in folder, with iterations if given. ValueError for other changes."""
     env_cfg, cfg = run_folder.load_config(folder)
     for name, x in (given_env | given_learner).items():
         was = (asdict(env_cfg) | asdict(cfg))[name]
@@ -51,11 +50,9 @@ def settle_resumed(folder, given_env, given_learner):
 
 
 def run_path(options, env_cfg, cfg):
-    """The run folder: what --out says, or a name made of task, algorithm, lambda, variant
-    and seed.
-    """
+    """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
-    usual = settle(dict(task=env_cfg.task), {})[1].num_envs
+    usual = tasks.TASKS[env_cfg.task].learner.get("num_envs", eipo.Config.num_envs)
     variant += f"-{cfg.num_envs}envs" if cfg.num_envs != usual else ""
     return Path(
         options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
@@ -63,9 +60,7 @@ def run_path(options, env_cfg, cfg):
 
 
 def prepare(options, given_env, given_learner):
-    """Check what is given, and that it fits what the run folder holds; returns folder,
-    tasks.Config, eipo.Config.
-    """
+    """Check what is given against itself and the run folder. Returns folder and both Configs."""
     if options.checkpoint_every < 1:
         raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
     env_cfg, cfg = settle(given_env, given_learner)
@@ -85,17 +80,11 @@ def prepare(options, given_env, given_learner):
 
 
 def agree(options, env_cfg, cfg):
-    """tasks.Config and eipo.Config of process 0, for all processes. ValueError if another one has
-    other flags.
-    """
-    mine = (
-        dict(resume=options.resume, checkpoint_every=options.checkpoint_every)
-        | asdict(env_cfg)
-        | asdict(cfg)
-    )
-    first, *others = (
-        json.loads(str(own["flags"])) for own in parallel.gather(dict(flags=json.dumps(mine)))
-    )
+    """Both Configs of process 0, for all processes. ValueError if one has other flags."""
+    mine = dict(resume=options.resume, checkpoint_every=options.checkpoint_every)
+    mine |= asdict(env_cfg) | asdict(cfg)
+    flags_of_each = parallel.gather(dict(flags=json.dumps(mine)))
+    first, *others = (json.loads(str(own["flags"])) for own in flags_of_each)
     for process, other in enumerate(others, 1):
         for name, x in first.items():
             # then process 0 read all others
@@ -105,14 +94,12 @@ def agree(options, env_cfg, cfg):
                 raise ValueError(
                     f"process {process} has {flag} {other[name]}, not {x}: give all the same flags"
                 )
-    return [
-        config(**tuples({f.name: first[f.name] for f in fields(config)})) for config in CONFIGS[1:]
-    ]
+    records = [{f.name: first[f.name] for f in fields(config)} for config in CONFIGS[1:]]
+    return [config(**tuples(x)) for config, x in zip(CONFIGS[1:], records, strict=True)]
 
 
 def repeat_arithmetic(threads):
-    """Make JAX compute the same bits again: in float32, with as many threads as before (None: one
-    for every core).
+    """Make JAX compute the same bits again: in float32, with as many threads as before.
 
     The last digit of a matrix product depends on the number of JAX's threads, whatever the number
     of cores.
@@ -134,28 +121,22 @@ def repeat_arithmetic(threads):
 
 
 def save(folder, state, envs, cfg, params):
-    """Write the checkpoint, the policy and the pictures of the run folder; params: of pi as plain
-    MLPs.
-    """
+    """Write checkpoint, policy and pictures into the run folder; params: of pi as plain MLPs."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index() == 0:
         policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
-        metrics.draw(folder, envs[0].state.command_weights if envs[0].task.curriculum else None)
+        metrics.draw(folder, envs[0].state.command_weights if envs[0].rules.curriculum else None)
 
 
 def check_learned(state, cfg):
-    """Raise ValueError, in one line, if training cannot go on from state: nothing of it is finite
-    any more.
-    """
+    """Raise ValueError, in one line, if nothing in state is finite any more."""
     if state.pi_prime and not np.isfinite(state.dual).all():
         raise ValueError(
             f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}"
         )
+    limit = GIVE_UP * cfg.num_epochs * cfg.num_minibatches
     for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
-        if (
-            learner
-            and learner.opt_state.notfinite_count >= GIVE_UP * cfg.num_epochs * cfg.num_minibatches
-        ):
+        if learner and learner.opt_state.notfinite_count >= limit:
             raise ValueError(
                 f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and "
                 "costs finite?"
@@ -163,8 +144,9 @@ def check_learned(state, cfg):
 
 
 def meet(asked, weights, before):
-    """Whether any process was asked to stop. All get one curriculum: the weights `before` and what
-    each has added.
+    """Whether any process was asked to stop. All get the curriculum of all.
+
+    weights: of this process's curriculum, and as they were `before`, at the last meeting
     """
     if jax.process_count() == 1:
         return asked
@@ -205,9 +187,7 @@ def begin(folder, env_cfg, cfg, options):
 
 
 def train(folder, env_cfg, cfg, options, command, stop):
-    """Train from the start or the checkpoint to the end; returns the last iteration if `stop.asked`
-    came before it.
-    """
+    """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
     lead = not options.process
     env_cfg, cfg, envs, first_state = begin(folder, env_cfg, cfg, options)
     if lead:
@@ -217,7 +197,7 @@ def train(folder, env_cfg, cfg, options, command, stop):
         what = f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments."
         say(f"{what} Compiling (once, ~15 s) ...")
     weights = envs[0].state.command_weights
-    before = envs[0].state.command_weights.copy()
+    before = weights.copy()
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, numbers in algorithm(*envs, cfg, first_state):
         check_learned(state, cfg)
@@ -239,9 +219,7 @@ def train(folder, env_cfg, cfg, options, command, stop):
 
 
 def command_line(argv):
-    """The words that started this process, with the flags that train.py got: those of a script that
-    wraps it, too.
-    """
+    """The words that started this process; the flags are those that train.py got."""
     typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
     return typed if set(argv) <= set(typed) else typed[: len(typed) - len(sys.argv) + 1] + argv
 
@@ -252,12 +230,12 @@ def main(argv):
     options = Options(**given_options)
     command = command_line(argv)
     lead = not options.process
-    others = (options.coordinator, options.processes, options.process)
+    meeting = (options.coordinator, options.processes, options.process)
     try:
         folder, env_cfg, cfg = prepare(options, given_env, given_learner)
         with stop_at_boundary(folder) as stop:
-            if others != (None, None, None):
-                parallel.join(*others)
+            if meeting != (None, None, None):
+                parallel.join(*meeting)
             if lead:
                 folder.mkdir(parents=True, exist_ok=True)
             with run_folder.lock(folder) if lead else nullcontext():

@@ -18,17 +18,16 @@ import go1_env
 from lab import (
     adopt,
     claims,
+    episodes,
     figures,
     gait,
     gap,
-    joints,
     objective,
     overview,
     readings,
     record,
     regions,
     robust,
-    seeds,
 )
 from lab import sweep as sweeps
 from runtime import run_folder
@@ -42,9 +41,7 @@ FIGURES = {
     "table1": (figures.table1, "peak velocity of every lambda beside what the paper prints"),
     "tradeoff": (overview.tradeoff, "score over power of all runs, a dot for each seed"),
     "lambdas": (overview.lambdas, "score, power and the last alpha over lambda"),
-    "seeds": (seeds.seeds, "how soon and how well the runs of one task learned"),
     "gait": (gait.gait, "how each run's robot moves its feet"),
-    "joints": (joints.joints, "what its joints do, against their limits"),
     "robust": (robust.robust, "what is lost where masses, friction, delays leave training"),
 }
 OTHERS = {
@@ -84,7 +81,7 @@ def parse(name, argv):
         "runs", nargs="+", help="run folders, or results/TASK, or results/TASK/NAME"
     )
     parser.add_argument("--out", type=Path, default=Path(), help="folder of PNG and CSV")
-    if name in ("gait", "joints"):
+    if name == "gait":
         parser.add_argument("--command", type=float, nargs="+", metavar="VX", help="m/s")
     parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (lab/adopt.py)")
     evaluate.add_flags(parser)
@@ -107,7 +104,8 @@ def run_folders(paths, into):
             found += taken
         else:
             raise ValueError(f"{tables[0]} has no run {path.name}")
-    return found + (evaluate.run_folders(others) if others else [])
+    files = "policy.npz", run_folder.EPISODES
+    return found + (evaluate.run_folders(others, files) if others else [])
 
 
 def draw(name, argv):
@@ -153,7 +151,7 @@ def other(name, argv):
             elif name == "objective":
                 print(*objective.lines(folders), sep="\n")
             else:
-                evaluate.print_rows(seeds.overview(folder, args) for folder in folders)
+                evaluate.print_rows(episodes.overview(folder, args) for folder in folders)
 
 
 def main(argv):

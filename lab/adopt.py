@@ -47,8 +47,7 @@ def world(robot, **changes):
 
 
 def find(spec, path):
-    """Trunk (a body), joints and feet (geoms) of a model, by our names: {"trunk", "FR_hip_joint",
-    ..., "FR_foot", ...}.
+    """The parts of a model by our names: {"trunk": a body, "FR_hip_joint": a joint, ...}.
 
     Raises ValueError, in one line, for what is missing and for a joint that turns about another
     axis than ours.
@@ -84,9 +83,7 @@ def find(spec, path):
 
 
 def rename(parts):
-    """Give the parts of `find`, the bodies that they move and the other geoms of the calves our
-    names.
-    """
+    """Give the parts of `find`, the bodies that they move and the calves' other geoms our names."""
     for ours, part in parts.items():
         part.name = ours
         if ours.endswith("_joint"):
@@ -103,9 +100,7 @@ def rename(parts):
 
 
 def put_in_order(world, trunk):
-    """Sort the legs of an attached trunk FR, FL, RR, RL, because the joints of our arrays are in
-    this order.
-    """
+    """Sort the legs of an attached trunk FR, FL, RR, RL, the order of our arrays."""
     world.copy_during_attach = True
     for leg in go1.LEGS:
         hip = trunk.find_child(f"their/{leg}_hip")
@@ -116,9 +111,7 @@ def put_in_order(world, trunk):
 
 
 def set_contacts(world):
-    """Let all that collides collide with the ground alone, as go1.xml does, and sense it in the
-    same order.
-    """
+    """Let all that collides touch the ground alone, as in go1.xml, sensed in the same order."""
     visible = {geom.parent.name for geom in world.geoms if geom.group < 3}
     for geom in world.geoms:
         if geom.parent.name != "world" and (geom.contype or geom.conaffinity):

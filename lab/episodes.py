@@ -12,7 +12,7 @@ import numpy as np
 import evaluate
 import go1_env
 from evaluate import Episodes
-from runtime import policy_file, run_folder
+from runtime import run_folder
 
 ASKED = (
     "start_spread",
@@ -27,8 +27,7 @@ COLUMNS = *ASKED, *Episodes._fields
 
 
 def of_run(folder, commands, each, args, roughness=None, nominal=False):
-    """The Episodes of a run's policy, each of commands (n, 3) `each` times, one command after the
-    other.
+    """The Episodes of a run's policy: `each` of every command (n, 3), one command after the other.
 
     They are played once. `episodes.csv.gz` in the run folder keeps them, with five digits, for the
     next figure and for whoever has the folder without its policy. Training deletes it with the next
@@ -47,7 +46,7 @@ def of_run(folder, commands, each, args, roughness=None, nominal=False):
     if all(rows.sum() == each for rows in mine):
         kept = np.concatenate([table[rows] for rows in mine])
         return Episodes(*kept[:, len(ASKED) :].T)
-    stamp = policy_file.stamp(folder)
+    stamp = stamp_of(folder)
     known = [int(rows.sum()) for rows in mine]
     if min(known) and not stamp:
         raise ValueError(
@@ -57,10 +56,16 @@ def of_run(folder, commands, each, args, roughness=None, nominal=False):
     new = np.column_stack([np.repeat(asked, each, 0), *play(folder, commands, each, settings)])
     data = packed(np.concatenate([table[~np.any(mine, 0)], new]))
     # a training that saves meanwhile makes these void
-    if stamp == policy_file.stamp(folder) and max(known) <= each:
+    if stamp == stamp_of(folder) and max(known) <= each:
         with suppress(OSError):  # who may not write there plays again the next time
             run_folder.replace_file(folder / run_folder.EPISODES, lambda file: file.write(data))
     return Episodes(*read(io.BytesIO(data))[-len(new) :, len(ASKED) :].T)
+
+
+def stamp_of(folder):
+    """Tells one policy of a run folder from a later one: time and size of policy.npz, or None."""
+    policy = folder / "policy.npz"
+    return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None
 
 
 def play(folder, commands, each, settings):
@@ -78,13 +83,21 @@ def description(folder, commands, clip, roughness, nominal):
 
 
 def both_starts(folder, task, commands, each, args):
-    """Two Episodes of a run, each command (n, 3) `each` times: from random starts, then from the
-    nominal pose.
+    """Two Episodes of a run, from random starts and from the nominal pose: `each` of every command.
 
     args: the command line, in which a roughness of None is that of the paper's evaluation
     """
     roughness = evaluate.ROUGHNESS.get(task) if args.roughness is None else args.roughness
     return [of_run(folder, commands, each, args, roughness, nominal) for nominal in (False, True)]
+
+
+def overview(folder, args):
+    """A run as a row of `evaluate.summary`, from kept episodes."""
+    env_cfg, cfg = run_folder.load_config(folder)
+    commands = evaluate.commands_of(env_cfg.task)
+    each = max(1, args.episodes // len(commands))
+    played, nominal = both_starts(folder, env_cfg.task, commands, each, args)
+    return dict(run=folder.name, seed=cfg.seed) | evaluate.summary(played, nominal, commands)
 
 
 def packed(table):

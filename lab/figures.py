@@ -35,8 +35,9 @@ HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Sect
 
 
 def by_command(folders, task, commands, columns, args, statistic=np.mean):
-    """Rows of a CSV, one for each kind of run and each command: a statistic of columns of Episodes
-    with random starts, with intervals. The column "energy" is energy per metre.
+    """Rows of a CSV, a row for each kind of run and each command, from episodes with random starts.
+
+    Each has a statistic of some columns of Episodes, with intervals. "energy" is energy per metre.
 
     commands: (n, 3). Every run plays about args.episodes episodes, equally many of each command,
         and as many from the nominal pose, of which the rows have the share that fell.
@@ -48,14 +49,8 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
         played, nominal = zip(*both, strict=True)
         for i, command in enumerate(commands):
             mine = slice(i * each, (i + 1) * each)
-            row = dict(
-                task=task,
-                run=name,
-                v_x_asked=command[0],
-                yaw_asked=command[2],
-                seeds=len(runs),
-                episodes=each,
-            )
+            row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2])
+            row |= dict(seeds=len(runs), episodes=each)
             row |= dict(fell=np.mean([e.fell[mine] for e in played]))
             row |= dict(fell_nominal=np.mean([e.fell[mine] for e in nominal]))
             for column in columns:
@@ -68,23 +63,18 @@ def by_command(folders, task, commands, columns, args, statistic=np.mean):
 
 
 def draw_lines(axes, rows, x, column):
-    """Draw a line for each kind of run: means, in their intervals over episodes and, lighter,
-    over seeds. Then `name_lines`.
-    """
+    """Draw each kind of run: its mean, its interval over episodes and, lighter, over seeds."""
     names = list(dict.fromkeys(row["run"] for row in rows))
     for i, name in enumerate(names):
         mine = [row for row in rows if row["run"] == name]
         at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
         color = sweep.color(name)
         alpha = 0.25 if len(names) < 4 else 0.1
-        style = (
-            dict(linewidth=2.5, marker="o")
-            if name == "EIPO"
-            else dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
-        )
-        axes.plot(
-            at, y, label=name, color=color, markersize=4, markevery=max(1, len(at) // 10), **style
-        )
+        style = dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
+        if name == "EIPO":
+            style = dict(linewidth=2.5, marker="o")
+        style |= dict(markersize=4, markevery=max(1, len(at) // 10))
+        axes.plot(at, y, label=name, color=color, **style)
         for over, shade in (("", alpha), ("_seeds", alpha / 2)):
             low, high = (
                 np.array([row[f"{column}{over}_{end}"] for row in mine], float)
@@ -140,30 +130,26 @@ def draw_panels(rows, panels, floors=None):
 
 def fig2(folders, args, task="flat"):
     """Task performance and energy per velocity on flat ground, by command. Section V-A."""
-    rows = by_command(folders, task, evaluate.FORWARD, ("performance", "energy"), args)
+    rows = by_command(folders, task, evaluate.COMMANDS, ("performance", "energy"), args)
     return rows, draw_panels(
         rows, [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")]
     )
 
 
 def fig3(folders, args):
-    """Task performance and energy per velocity on rough ground of 15 cm, by command.
-    Section V-B.
-    """
+    """As `fig2`, on rough ground of 15 cm. Section V-B."""
     return fig2(folders, args, "rough")
 
 
 def fig4(folders, args):
-    """Task performance of every lambda on flat and on rough ground, or on one of them if only it
-    has runs. V-C.
-    """
+    """Task performance of every lambda on flat and rough ground, or on the one with runs. V-C."""
     tasks = {run_folder.load_config(Path(folder))[0].task for folder in folders}
     if not (tasks := [task for task in ("flat", "rough") if task in tasks]):
         raise ValueError("none of the run folders is of the task flat or rough")
     rows = [
         row
         for task in tasks
-        for row in by_command(folders, task, evaluate.FORWARD, ("performance",), args)
+        for row in by_command(folders, task, evaluate.COMMANDS, ("performance",), args)
     ]
     panels = [(task, "performance", "task performance") for task in tasks]
     return rows, draw_panels(rows, panels, floors=dict(flat=1.2, rough=0.8))
@@ -194,8 +180,9 @@ def fig5(folders, args):
 
 
 def fig6(folders, args):
-    """Mean velocity over time of the robots that have not fallen yet. Dotted: the paper's hardware
-    (D45). Section VI.
+    """Mean speed over time of the robots that have not fallen. Section VI.
+
+    Dotted lines are peaks of the paper's robot (D45).
 
     Each point is a mean over about a period of the clock, which smooths the strides.
     """
@@ -230,9 +217,7 @@ def fig6(folders, args):
 
 
 def table1(folders, args):
-    """Peak velocity of every lambda as an interquartile mean, both intervals, beside what the paper
-    prints. Table I.
-    """
+    """Interquartile mean of the peak velocity of every lambda, beside the paper's. Table I."""
     columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
     rows = by_command(folders, "velocity", np.zeros((1, 3)), columns, args, statistics.iqm)  # D26
     for row in rows:

@@ -46,8 +46,6 @@ class Record(NamedTuple):
     """What N robots did in T physics steps, which are C control steps, after they had settled."""
 
     contact: np.ndarray  # (T, N, 4) bool, which feet are on the ground
-    target: np.ndarray  # (T, N, 12) [rad] for the joints
-    q: np.ndarray  # (T, N, 12) [rad]
     qd: np.ndarray  # (T, N, 12) [rad/s] mean of a physics step, as in the power
     torque: np.ndarray  # (T, N, 12) [N m]
     body: np.ndarray  # (C, N, 3) height of the trunk above the ground [m], pitch and roll [degrees]
@@ -81,7 +79,7 @@ def record(policy, env, command):
     def look():  # after every physics step
         before = qd.copy()
         qd[:] = env.qvel[:, 6:]
-        joints = env.state.targets[0], env.qpos[:, 7:], (before + qd) / 2, env.ctrl
+        joints = (before + qd) / 2, env.ctrl
         physics.append((env.contacts[:, -4:] > 0, *(x.astype(np.float32) for x in joints)))
 
     env.batch = Watched(env.batch, look)
@@ -101,8 +99,7 @@ def record(policy, env, command):
 
 
 def stride_frequency(contact, dt):
-    """How many strides there are in a second [Hz]: where the power spectrum of the feet's contacts
-    is highest.
+    """Strides per second [Hz]: where the power spectrum of the feet's contacts is highest.
 
     contact: (T, 4) bool; dt: [s] between two rows
     """
@@ -115,8 +112,7 @@ def stride_frequency(contact, dt):
 
 
 def foot_phases(contact, frequency, dt):
-    """Phases (4,) [strides] of the feet behind FR, and agreement (4,) of the strides on each, from
-    0 to 1.
+    """Phases (4,) [strides] of the feet behind FR, and how well the strides agree on each, 0 to 1.
 
     A foot's stance in a stride is the sum of exp(2 pi i frequency t) over its contacts, a vector
     that points at its middle. Phases are circular means over whole strides. contact, dt: as for
@@ -134,9 +130,7 @@ def foot_phases(contact, frequency, dt):
 
 
 def gait_name(phases):
-    """The name of the gait by the table at the top of this file; phases: (4,) [strides] of FR, FL,
-    RR, RL.
-    """
+    """The gait by the table at the top of this file; phases: (4,) [strides] of FR, FL, RR, RL."""
     lag = lambda a, b: abs((a - b + 0.5) % 1 - 0.5)  # noqa: E731  [strides], 0 to 1/2
     fr, fl, rr, rl = phases
     pairs = lag(fr, fl), lag(rr, rl)
@@ -151,9 +145,7 @@ def gait_name(phases):
 
 
 def strides(contact, dt):
-    """Name of the gait, stride frequency [Hz] and phases (4,) [strides] of a robot. Arguments:
-    `stride_frequency`.
-    """
+    """Gait, stride frequency [Hz] and phases (4,) of a robot. Arguments: `stride_frequency`."""
     if contact.all(0).any() or not contact.any(0).all():
         return "none", np.nan, np.full(4, np.nan)
     frequency = stride_frequency(contact, dt)
@@ -165,9 +157,7 @@ def strides(contact, dt):
 
 
 def leg_power(seen, clip):
-    """Power of the motors of each leg [W], (T, N, 4): mechanical power and heating, Eq. (9); clip:
-    see energy.py.
-    """
+    """Power of each leg's motors, Eq. (9) without constants, (T, N, 4) [W]; clip: see energy.py."""
     torque, qd = (x.reshape(*x.shape[:2], 4, 3) for x in (seen.torque, seen.qd))
     return energy.mechanical_power(torque, qd, clip) + energy.heating_power(
         torque, energy.GEAR_RATIO[:3]
@@ -175,8 +165,7 @@ def leg_power(seen, clip):
 
 
 def gait_row(seen, weight, env_cfg):
-    """Columns of gait.csv, means over the robots that did not fall; and the number of the robot
-    that is drawn.
+    """Columns of gait.csv, means over the robots that did not fall, and which robot is drawn.
 
     Stride frequency, phases and the robot are of those with the commonest gait. weight: (N,) [N] of
     each robot
@@ -240,9 +229,7 @@ def one_robot(seen, i):
 
 
 def draw(axes, seen, env_cfg):
-    """Draw the first robot: contacts of its feet, height, pitch and roll, and power of its legs, on
-    four axes.
-    """
+    """Draw the first robot on four axes: contacts, height, attitude, and power of its legs."""
     feet, height, attitude, power = axes
     steps = env_cfg.physics_steps
     n = round(SHOWN / env_cfg.timestep)
@@ -269,19 +256,13 @@ def draw(axes, seen, env_cfg):
 
 
 def gait(folders, args):
-    """Footfalls by command: gait, duty factors, phases, stride frequency, power by leg. One robot
-    of each is drawn.
-    """
+    """The footfalls of each run at each command. One robot of each is drawn."""
     rows = []
     drawn = []
     for folder, v_x, env, seen in played(folders, args):
         row, i = gait_row(seen, -go1_env.GRAVITY[2] * env.state.mass.sum(1), env.env_cfg)
-        rows.append(
-            dict(
-                run=folder.name, v_x_asked=v_x, episodes=env.num_envs, fell=1 - seen.upright.mean()
-            )
-            | row
-        )
+        about = dict(run=folder.name, v_x_asked=v_x, episodes=env.num_envs)
+        rows.append(about | dict(fell=1 - seen.upright.mean()) | row)
         drawn.append((one_robot(seen, i), env.env_cfg))
     figure = Figure(figsize=(4 * len(rows) + 0.5, 7), layout="constrained")
     axes = figure.subplots(4, len(rows), sharex="col", sharey="row", squeeze=False)

@@ -30,9 +30,7 @@ def kept(folders):
 
 
 def rows(policies):
-    """A line for each lambda: the worths of PPO's own seeds, then the best policy, its worth, speed
-    and power.
-    """
+    """A line for each lambda: the worths of PPO's own seeds, and the best policy of all."""
     for lam in sweep.LAMBDAS:
         worth = {
             name: performance - lam * power for name, (performance, power, _) in policies.items()
@@ -43,14 +41,8 @@ def rows(policies):
         ]
         best = max(worth, key=worth.get)
         _, power, speed = policies[best]
-        yield ",".join(
-            [
-                f"{lam:g}",
-                *(f"{x:.3f}" for x in own),
-                best,
-                f"{worth[best]:.3f},{speed:.2f},{power:.0f}",
-            ]
-        )
+        own = ",".join(f"{x:.3f}" for x in own)
+        yield f"{lam:g},{own},{best},{worth[best]:.3f},{speed:.2f},{power:.0f}"
 
 
 def lines(folders):

@@ -63,9 +63,7 @@ def side_by_side(ours, theirs):
 
 
 def exchange(env, env_prime, cfg, state=None):
-    """`eipo.eipo`, in which pi learns from both rollouts. The comments name the lines that
-    differ.
-    """
+    """`eipo.eipo`, where pi learns from both rollouts. Comments name the lines that differ."""
     state = state or eipo.init_state(env, env_prime, cfg)
     _, _, pi, pi_prime, dual, start, start_prime = state
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
@@ -102,9 +100,7 @@ def exchange(env, env_prime, cfg, state=None):
 
 
 def with_own_commands(make_envs):
-    """`train.make_envs`, where each environment learns by itself which commands its robots are
-    ready for.
-    """
+    """`train.make_envs`, where each environment has a curriculum of its own."""
 
     def made(*args):
         envs = make_envs(*args)

@@ -64,9 +64,7 @@ def changed(parameter, x, robot):
 
 
 def robust(folders, args):
-    """Task performance and falls where one parameter leaves the range of training, which is shaded.
-    Five commands.
-    """
+    """Task performance and falls where a parameter leaves its range in training, the gray one."""
     rows = []
     for folder in map(Path, folders):
         env_cfg = run_folder.load_config(folder)[0]
@@ -75,26 +73,15 @@ def robust(folders, args):
         for parameter, values in PARAMETERS.items():
             low, high = trained(env_cfg, parameter)
             for x in values:
-                loaded = evaluate.load(
-                    folder,
-                    each * len(commands),
-                    args.clip,
-                    args.roughness,
-                    world=changed(parameter, x, args.robot),
-                )
+                settings = each * len(commands), args.clip, args.roughness
+                world = changed(parameter, x, args.robot)
+                loaded = evaluate.load(folder, *settings, world=world)
                 e = evaluate.run_episodes(*loaded, np.repeat(commands, each, 0))
-                row = dict(
-                    run=folder.name,
-                    parameter=parameter,
-                    value=x,
-                    trained_low=low,
-                    trained_high=high,
-                )
+                row = dict(run=folder.name, parameter=parameter, value=x)
+                row |= dict(trained_low=low, trained_high=high)
                 row |= dict(episodes=len(e.fell), fell=np.mean(e.fell))
-                row |= {
-                    name: evaluate.finite_mean(getattr(e, name))
-                    for name in ("performance", "v_x", "power")
-                }
+                for name in ("performance", "v_x", "power"):
+                    row[name] = evaluate.finite_mean(getattr(e, name))
                 rows.append(row)
     return rows, draw(rows)
 

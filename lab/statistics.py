@@ -13,15 +13,12 @@ from evaluate import interval
 
 
 def iqm(x, axis=None):
-    """Interquartile mean: the mean of the middle half of x. It does not see what befalls less than
-    a quarter of x.
-    """
+    """Interquartile mean, of the middle half of x. It is blind to what befalls under a quarter."""
     return stats.trim_mean(x, 0.25, axis=axis)
 
 
 def summarise(name, by_seed, statistic=np.mean):
-    """Columns of a CSV: a statistic, its intervals over episodes and seeds, and how many episodes
-    count.
+    """Columns of a CSV: a statistic, its intervals over episodes and seeds, the number of episodes.
 
     by_seed:   one array per seed, (episodes,), or (k, episodes) for a statistic of k numbers of an
                episode; an episode with a number that is not finite does not count

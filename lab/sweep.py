@@ -4,6 +4,7 @@ A run's kind is EIPO or PPO(lambda), with its other cost or reward.
 """
 
 import shlex
+from contextlib import nullcontext
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
@@ -72,9 +73,7 @@ def by_label(folders, task):
 
 
 def kind(env_cfg, cfg):
-    """What the paper's figures call a run: EIPO or PPO(lambda), here with its other lambda_0, cost
-    or reward.
-    """
+    """What the figures call a run: EIPO or PPO(lambda), with another lambda_0, cost or reward."""
     usual = eipo.Config(**tasks.TASKS[env_cfg.task].learner)
     if cfg.algo == "ppo":
         name = f"PPO({cfg.lam:g})"
@@ -85,17 +84,13 @@ def kind(env_cfg, cfg):
 
 
 def read_by(cfg):
-    """cfg, where PPO has the default steps of alpha, which it does not read: runs that differ in
-    them are the same.
-    """
+    """cfg as PPO reads it. Runs of PPO that differ only in the steps of alpha are the same."""
     steps = {f.name: f.default for f in fields(cfg) if f.name.endswith("_alpha")}
     return replace(cfg, **steps) if cfg.algo == "ppo" else cfg
 
 
 def color(name):
-    """The color of a kind of run in every figure: EIPO is blue, and PPO orange to brown. A large
-    lambda is dark.
-    """
+    """The color of a kind of run in every figure: EIPO is blue, PPO yellow to brown by lambda."""
     if name.startswith("EIPO"):
         return "#0072B2"
     lam = float(name[len("PPO(") : name.index(")")])
@@ -103,9 +98,7 @@ def color(name):
 
 
 def missing_runs(what, flags):
-    """The train.py commands that a figure or the table still lacks, seeds as in SEEDS; flags: to be
-    added to each.
-    """
+    """Yields the train.py commands that a figure or the table still lacks; flags: added to each."""
     if what not in SWEEPS:
         raise ValueError(f"missing takes one of {', '.join(SWEEPS)}, and flags of train.py")
     own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
@@ -121,15 +114,14 @@ def missing_runs(what, flags):
 
 
 def progress(argv):
-    """How far the run of these train.py arguments is: "" if it has not begun, "running", "started"
-    or "done".
+    """How far the run of these arguments of train.py is: "", "running", "started" or "done".
 
     A run is also done if `python -m lab add` has put it into results/.
     """
     options, given_env, given_learner = parse(argv)
     env_cfg, cfg = settle(given_env, given_learner)
     folder = train.run_path(Options(**options), env_cfg, cfg)
-    if run_folder.running(folder):
+    if running(folder):
         return "running"
     if in_results(folder.name, env_cfg, cfg):
         return "done"
@@ -138,6 +130,15 @@ def progress(argv):
     # raises if it is a run of other settings
     train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))
     return "done" if record.last_iteration(folder) >= cfg.iterations else "started"
+
+
+def running(folder):
+    """Whether a process is training in the folder."""
+    try:
+        with run_folder.lock(folder) if (folder / "lock").exists() else nullcontext():
+            return False
+    except (ValueError, OSError) as error:
+        return isinstance(error, ValueError)
 
 
 def in_results(name, env_cfg, cfg):

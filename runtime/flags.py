@@ -37,16 +37,12 @@ As in the paper:
 
 
 def describe(config):
-    """The comment behind each field of a config dataclass: {"gamma": "[lab code] discount, Eq.
-    (1)", ...}.
-    """
+    """The comment behind each field of a config: {"gamma": "[lab code] discount, Eq. (1)", ...}."""
     return dict(re.findall(r"^    (\w+): .*?  # (.*)$", inspect.getsource(config), re.M))
 
 
 def kind_of(field):
-    """Arguments of argparse for a field, by its annotation. Where that allows None, the word none
-    stands for it.
-    """
+    """Arguments of argparse for a field, by its annotation. The word none stands for None."""
     if field.type is bool:
         return dict(action=argparse.BooleanOptionalAction)
     several = field.type is tuple
@@ -65,14 +61,10 @@ def kind_of(field):
 
 def parse(argv):
     """The flags that were given: one dict of fields for each of CONFIGS."""
-    usage = f"train.py [--task {'|'.join(tasks.TASKS)}] [--algo eipo|ppo] [--out DIR] [--resume] "
-    usage += "[--FIELD VALUE ...]"
-    about = "\n".join(
-        f"  {name:<{max(map(len, tasks.TASKS))}}  {task.about}"
-        for name, task in tasks.TASKS.items()
-    )
+    usage = f"[--task {'|'.join(tasks.TASKS)}] [--algo eipo|ppo] [--out DIR] [--resume]"
+    about = "\n".join(f"  {name:<10}  {task.about}" for name, task in tasks.TASKS.items())
     parser = argparse.ArgumentParser(
-        usage=usage,
+        usage=f"train.py {usage} [--FIELD VALUE ...]",
         description=f"{ABOUT}\n\ntasks:\n{about}\n\n{LENGTH}",
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
@@ -85,10 +77,9 @@ def parse(argv):
             paper = {name: task.world | task.learner for name, task in tasks.TASKS.items()}
             by_task = [f"{name} {x[field.name]}" for name, x in paper.items() if field.name in x]
             default = [] if len(by_task) == len(paper) else [str(field.default).lower()]
-            text = f"{comments[field.name]} (default: {', '.join(default + by_task)})".replace(
-                "%", "%%"
-            )
-            parser.add_argument("--" + field.name.replace("_", "-"), help=text, **kind_of(field))
+            text = f"{comments[field.name]} (default: {', '.join(default + by_task)})"
+            flag = "--" + field.name.replace("_", "-")
+            parser.add_argument(flag, help=text.replace("%", "%%"), **kind_of(field))
     given = tuples(vars(parser.parse_args(argv)))
     return [
         {f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS
@@ -96,9 +87,7 @@ def parse(argv):
 
 
 def settle(given_env, given_learner):
-    """tasks.Config and eipo.Config: defaults, overruled by the task's own values, overruled by what
-    was given.
-    """
+    """tasks.Config and eipo.Config: defaults, then the task's own values, then what was given."""
     env_cfg = tasks.task_config(**given_env)
     return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
@@ -111,17 +100,12 @@ WORDS = dict(
     aux=("energy", "smooth"),
     reward=("paper", "shaped"),
 )
-# least and greatest value, or ends of a range, with unit and reason: no world beyond can be built
-# or used
+# least and greatest value, or ends of a range, with unit and reason: worlds beyond are of no use
 LIMITS = {
     "num_envs": (1, 2**16, ""),
     "threads": (1, 1024, ""),
-    "history": (1, 100, ", because the matrix that mirrors it grows with its square"),
-    "num_envs * history": (
-        1,
-        2**19,
-        ", because a rollout keeps so many frames for each of its steps",
-    ),
+    "history": (1, 100, " frames"),
+    "num_envs * history": (1, 2**19, ", because each step of a rollout keeps so many frames"),
     "episode_steps": (1, 1e9, ""),
     "command_steps": (1, 1e9, ""),
     "timestep": (1e-9, 0.02, " s, because at 0.03 the motors' PD controllers blow up"),
@@ -138,7 +122,6 @@ LIMITS = {
     "ground_seed": (0, 2**31 - 1, ""),
     "start_spread": (0, 10, ""),
     "tiles": (1, 1000, ", because that many take ten seconds to make"),
-    # see test_no_foot_sinks_in
     "friction": (0, 1.5, ", because feet with more sink into the ground"),
     "payload": (-4.9, 20, " kg, on a trunk of 5.6 kg"),
     "com": (-0.1, 0.1, " m"),
@@ -151,9 +134,7 @@ LIMITS = {
 
 
 def check_world(num_envs, env_cfg, threads):
-    """Raise ValueError, in one line, for settings from which no world can be built, or no useful
-    one.
-    """
+    """Raise ValueError, in one line, for settings from which no useful world can be built."""
     tasks.task_config(env_cfg.task)
     given = vars(env_cfg) | {
         "num_envs": num_envs,
@@ -233,9 +214,7 @@ def tuples(record):
 
 
 def to_config(kind, record):
-    """The dataclass `kind` of a record from JSON. TypeError for names and types that are not those
-    of its fields.
-    """
+    """The dataclass `kind` of a record from JSON. TypeError for other names or types."""
     config = kind(**tuples(record))
     for field in fields(kind):
         x = getattr(config, field.name)

@@ -14,9 +14,7 @@ STDERR = [2]  # its file descriptor, the last one
 
 
 def say(text, file=None, end="\n"):
-    """Print. A run must not end because nobody listens: Ctrl-C ends `tee` as well, and a terminal
-    may be closed.
-    """
+    """Print, whoever listens: Ctrl-C ends `tee` as well, and a terminal may be closed."""
     try:
         print(text, file=file, end=end, flush=True)
     except OSError:
@@ -24,25 +22,20 @@ def say(text, file=None, end="\n"):
 
 
 def stop_at_once(why):
-    """End this process, with a line. Python's own way would wait for the C++ threads of JAX, or
-    crash in them.
-    """
+    """End this process, with a line. Python's own way waits for JAX's threads, or crashes."""
     say("\n" * sys.stderr.isatty() + f"Stopped at once: {why}", sys.stderr)
     os._exit(130)
 
 
 def stop_imports():
-    """Let Ctrl-C end the process at once until `stop_at_boundary` listens, because imports take
-    seconds.
-    """
+    """Let Ctrl-C end the process at once during imports, which take seconds."""
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: stop_at_once("no training was under way"))
 
 
 @contextmanager
 def stop_at_boundary(folder):
-    """Yields a namespace whose `asked` turns True when Ctrl-C, SIGTERM or SIGHUP asks for a stop
-    after this iteration.
+    """Yields a namespace. Ctrl-C, SIGTERM or SIGHUP set its `asked`, to stop after this iteration.
 
     Asked again, or before the first iteration has set `worth_saving`, the process ends at once. A
     thread sees to that: a signal handler in Python would have to wait for the C++ that compiles.
@@ -83,9 +76,7 @@ LEAVING = threading.Lock()
 
 
 def leave(why):
-    """End one of several processes with a line, at once: Python's own way would wait for those that
-    are lost.
-    """
+    """End one of several processes at once, with a line. Python's own way waits for lost ones."""
     LEAVING.acquire()  # for good: the first thread to come says why
     try:
         print(f"train.py: {why}", file=sys.stderr, flush=True)
@@ -94,8 +85,7 @@ def leave(why):
 
 
 def leave_on_abort(why):
-    """From now on this process leaves where C++ aborts it, with the line that why(text) makes of
-    what C++ had said.
+    """Leave, from now on, where C++ aborts: with the line why(text), where text is what C++ said.
 
     What C++ says goes to a file and not to stderr, which is left to Python.
     """

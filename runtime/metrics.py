@@ -18,8 +18,7 @@ class Log:
     """metrics.csv, which grows by a row in each iteration."""
 
     def __init__(self, folder, done):
-        """done: iterations behind us. Later rows are dropped, because their iterations will be
-        computed again.
+        """done: iterations behind us. Later rows are dropped, as they will be computed again.
 
         The run does not need the earlier ones: if some are missing, it goes on, and a line on
         stderr says so.
@@ -42,11 +41,8 @@ class Log:
         seconds = time.monotonic() - self.start
         new = iteration - self.done
         rate = metrics["steps"] / iteration * new / seconds
-        row = (
-            dict(iteration=iteration)
-            | metrics
-            | dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
-        )
+        clock = dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
+        row = dict(iteration=iteration) | metrics | clock
         if not self.names or not self.path.exists():
             # another version may have other columns
             self.names = list((self.kept[0] if self.kept else {}) | row)
@@ -68,29 +64,24 @@ class Log:
 
 def whole_rows(path):
     """The rows of metrics.csv as dicts of text, without what a crash or a full disk has torn."""
-    names, *rows = (
-        line.split(",") for line in path.read_text(errors="replace").split("\n")[:-1] or [""]
-    )
+    lines = path.read_text(errors="replace").split("\n")[:-1] or [""]
+    names, *rows = (line.split(",") for line in lines)
     rows = [dict(zip(names, row, strict=True)) for row in rows if len(row) == len(names)]
     return [row for row in rows if row.get("iteration", "").isdecimal()]
 
 
 def read(folder):
-    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}, or {} if there is no
-    row yet.
-    """
+    """The columns of metrics.csv: {"iteration": (n,), "reward": (n,), ...}; {} without a row."""
     rows = whole_rows(folder / "metrics.csv")
+    names = rows[0] if rows else ()
     try:
-        return (
-            {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
-        )
+        return {name: np.array([row[name] for row in rows], float) for name in names}
     except ValueError as error:
         raise ValueError(f"{folder / 'metrics.csv'} is damaged: {error}") from None
 
 
 def report(row, first, iterations):
-    """Print what matters of a row of metrics.csv: on a terminal over the last line, elsewhere for
-    one row in 100.
+    """Print what matters of a row of metrics.csv: on a terminal each, elsewhere one in 100.
 
     The time left takes the mean of all iterations since `first`, the first row of this process,
     which also compiled.
@@ -113,9 +104,7 @@ def report(row, first, iterations):
 
 
 def draw(folder, weights):
-    """Draw the pictures of a run, and those weights of its curriculum if they are not None; or say
-    that it failed.
-    """
+    """Draw the pictures of a run, or say that it failed; weights: of its curriculum, or None."""
     try:
         draw_curves(folder)
         if weights is not None:
@@ -189,12 +178,12 @@ def levels(task):
     Means over the task's commands. On `curriculum` nobody knows them beforehand, and on `velocity`
     there are none.
     """
-    task = tasks.TASKS[task]
-    asked = np.linspace(0, 1, 1001)[:, None] * task.command_high
-    found = {"as told": task.reward(asked, asked).mean()}
-    if any(task.command_high):
-        return found | dict(standing=task.reward(0 * asked, asked).mean())
-    return found if task.curriculum else {}
+    rules = tasks.TASKS[task]
+    asked = np.linspace(0, 1, 1001)[:, None] * rules.command_high
+    found = {"as told": rules.reward(asked, asked).mean()}
+    if any(rules.command_high):
+        return found | dict(standing=rules.reward(0 * asked, asked).mean())
+    return found if rules.curriculum else {}
 
 
 def draw_commands(folder, weights):

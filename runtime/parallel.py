@@ -27,8 +27,9 @@ LOST = "another process has ended, see what it said last; --resume goes on from 
 
 
 def join(coordinator, processes, process):
-    """Connect with the others of a run. coordinator: HOST:PORT of process 0; process: number of
-    this one of processes.
+    """Connect with the other processes of a run.
+
+    coordinator: HOST:PORT of process 0; process: which of `processes` this one is
 
     Raises ValueError. If the others do not come, or get lost later, this process ends with a line
     and status 2.
@@ -37,11 +38,9 @@ def join(coordinator, processes, process):
     if None in (coordinator, processes, process) or not (
         host and port.isdecimal() and 0 <= process < processes
     ):
-        raise ValueError(
-            "several processes need --coordinator HOST:PORT, --processes P and --process 0 "
-            "to P - 1, "
-            f"not {coordinator}, {processes} and {process}"
-        )
+        needed = "--coordinator HOST:PORT, --processes P and --process 0 to P - 1"
+        given = f"{coordinator}, {processes} and {process}"
+        raise ValueError(f"several processes need {needed}, not {given}")
     why = [
         f"not all of {processes} processes came to {coordinator} within {JOIN} s: check the "
         "flags of each"
@@ -71,9 +70,7 @@ def own_key(key):
 
 
 def average(tree):
-    """The means over the processes of the numbers in tree, in float32; inside of a `compiled`
-    function and outside.
-    """
+    """Means over the processes of the numbers in tree, float32; also inside of `compiled`."""
     if jax.process_count() == 1:
         return tree
     numbers, unravel = ravel_pytree(jax.tree.map(jnp.float32, tree))  # one message for all
@@ -82,9 +79,7 @@ def average(tree):
 
 
 def pooled(log):
-    """A dict of numbers of every process as one: means of what is float, sums of what is int, which
-    counts.
-    """
+    """A dict of numbers of every process as one: floats are averaged, ints (counts) added."""
     counts = {name: jax.process_count() if isinstance(x, int) else 1 for name, x in log.items()}
     return {name: float(x) * counts[name] for name, x in average(log).items()}
 
@@ -106,9 +101,7 @@ def all_of(array):
 
 
 def reached(function, *args):
-    """What function(*args) returns, which waits for the other processes. ValueError if one
-    is lost.
-    """
+    """What function(*args) returns, which waits for the others. ValueError if one is lost."""
     try:
         return jax.block_until_ready(function(*args))
     except (ValueError, jax.errors.JaxRuntimeError) as error:
@@ -116,9 +109,7 @@ def reached(function, *args):
 
 
 def compiled(function):
-    """function(*arrays, cfg), compiled. Its arrays and results are each process's own; it may call
-    `average`.
-    """
+    """function(*arrays, cfg), compiled. Arrays and results are this process's own."""
     alone = jax.jit(function, static_argnames="cfg")
 
     @lru_cache

@@ -44,8 +44,7 @@ STEPS = 50  # control steps of the trace, 1 s
 
 
 def trace(params, env_cfg):
-    """The arrays of the table above, (50,) or (50, width) float32, of one robot under the policy;
-    params: plain MLPs.
+    """The arrays of the table above, (50,) or (50, width) float32; params: of plain MLPs.
 
     It follows the greatest command of its task, or 1 m/s, without noise. It starts anew if it
     falls.
@@ -74,8 +73,7 @@ def trace(params, env_cfg):
 
 
 def save(path, params, env_cfg):
-    """Write policy.npz: all that it takes to run the policy without JAX and this project, as
-    docs/deploy.md shows.
+    """Write policy.npz, which runs without JAX and this project: docs/deploy.md shows how.
 
     params: of plain MLPs, as `networks.dense` returns them. The file has these arrays:
 
@@ -100,10 +98,10 @@ def save(path, params, env_cfg):
             weights[f"{net}.{i}.b"] = np.asarray(layer.bias, np.float32)
     units = dict(
         log_std=np.asarray(params["actor"]["log_std"]),
-        q_nominal=go1.Q_NOMINAL,
-        kp=go1.KP,
-        action_scale=go1_env.ACTION_SCALE,
         frame_scale=go1_env.FRAME_SCALE,
+        q_nominal=go1.Q_NOMINAL,
+        action_scale=go1_env.ACTION_SCALE,
+        kp=go1.KP,
         kd=go1.KD,
     )
     arrays = weights | units | dict(config=json.dumps(asdict(env_cfg))) | trace(params, env_cfg)
@@ -112,9 +110,7 @@ def save(path, params, env_cfg):
 
 
 def load(path):
-    """The parameters that `networks.policy` takes and the environment's Config, from a
-    policy.npz.
-    """
+    """The parameters for `networks.policy`, and the tasks.Config, from a policy.npz."""
     arrays = run_folder.read_npz(path)
 
     def layers(net):
@@ -134,11 +130,8 @@ def load(path):
         check_finite(params)
         obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)
         with suppress(TypeError, ValueError):
-            if [x.shape for x in jax.eval_shape(networks.policy, params, obs)] == [
-                (12,),
-                (12,),
-                (3,),
-            ]:
+            shapes = [x.shape for x in jax.eval_shape(networks.policy, params, obs)]
+            if shapes == [(12,), (12,), (3,)]:
                 return params, env_cfg
         raise ValueError(f"its layers do not fit each other or its history of {env_cfg.history}")
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
@@ -153,11 +146,3 @@ def check_finite(tree):
         greatest = np.finfo(np.float32).max
         if x.dtype.kind not in "biuf" or not (np.abs(x) <= greatest).all():  # nan as well
             raise ValueError(f"{jax.tree_util.keystr(path)} does not hold finite numbers")
-
-
-def stamp(folder):
-    """What tells one policy of a run folder from a later one: time and size of policy.npz; None
-    without one.
-    """
-    policy = folder / "policy.npz"
-    return (policy.stat().st_mtime_ns, policy.stat().st_size) if policy.exists() else None

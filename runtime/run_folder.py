@@ -8,7 +8,7 @@
                      simulations, random generators
     policy.npz       all that it takes to run the policy
     curves.png       the metrics, drawn
-    episodes.csv.gz  every episode that `evaluate.py` has played with this policy
+    episodes.csv.gz  episodes that `python -m lab` has played with this policy
     commands.png     on the task `curriculum`: which commands it has reached
     lock             empty; a process that trains here holds it
 
@@ -24,8 +24,8 @@ import platform
 import shlex
 import subprocess
 import sys
-from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, replace
+from contextlib import contextmanager
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
@@ -49,9 +49,7 @@ JAX_THREADS = "PJRT_NPROC"
 
 
 def commit():
-    """The commit of this source, with a + if tracked files have changed since; "unknown" outside a
-    git checkout.
-    """
+    """The commit of this source, with a + if it was changed since; "unknown" outside of git."""
     command = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
         return subprocess.check_output(
@@ -62,9 +60,7 @@ def commit():
 
 
 def replace_file(path, write):
-    """Call write(file) on a temporary file, then rename it to path: readers find the old file or
-    the whole new one.
-    """
+    """Call write(file) on a temporary file, and rename it to path: readers find old or new."""
     temporary = path.with_name(path.name + ".tmp")
     try:
         with open(temporary, "wb") as file:
@@ -77,9 +73,7 @@ def replace_file(path, write):
 
 
 def check_writable(path):
-    """Raise OSError if `replace_file` cannot write 2 MB to path: who is to work for hours wants to
-    know before.
-    """
+    """Raise OSError if `replace_file` cannot write 2 MB to path, before hours of work."""
     temporary = path.with_name(path.name + ".tmp")
     try:
         if path.is_dir():
@@ -94,9 +88,7 @@ def check_writable(path):
 
 @contextmanager
 def lock(folder):
-    """Keep the run folder to this process, until it ends in whatever way. ValueError if another
-    process has it.
-    """
+    """Keep the run folder to this process, until it ends. ValueError if another one has it."""
     with open(folder / "lock", "a") as file:
         try:
             if fcntl:
@@ -113,18 +105,8 @@ def lock(folder):
         yield
 
 
-def running(folder):
-    """Whether a process is training in the folder."""
-    try:
-        with lock(folder) if (folder / "lock").exists() else nullcontext():
-            return False
-    except (ValueError, OSError) as error:
-        return isinstance(error, ValueError)
-
-
 def save_config(folder, env_cfg, cfg, command, resume=False):
-    """Write config.json: both Configs, and one more entry that says how, with what and where the
-    run was started.
+    """Write config.json: both Configs, and one more entry about this start.
 
     command: list of the words that were typed; resume: whether to keep the entries of earlier
         starts
@@ -149,8 +131,7 @@ def load_config(folder):
         env_cfg = to_config(tasks.Config, record["env"])
         cfg = to_config(eipo.Config, record["learner"])
         check_world(cfg.num_envs, env_cfg, None)
-        # of PPO older runs have a number there
-        check_learner(cfg if cfg.algo == "eipo" else replace(cfg, alpha0=None))
+        check_learner(cfg)
         return env_cfg, cfg
     except FileNotFoundError:
         raise ValueError(f"{folder} is not a run folder: it has no config.json") from None
@@ -161,9 +142,7 @@ def load_config(folder):
 
 
 def read_npz(path):
-    """The arrays of an npz file as a dict. Raises ValueError, in one line, for a missing or damaged
-    file.
-    """
+    """The arrays of an npz file as a dict. ValueError, in one line, if it is missing or damaged."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
             # NumPy trusts a header, and checks no sum if it is told to read less
@@ -205,9 +184,7 @@ def restore_env(env, arrays):
 
 
 def checkpoint_arrays(state, envs):
-    """All that the next iteration depends on: the leaves of the State, and what each of envs saves,
-    by name.
-    """
+    """All that the next iteration depends on, by name: leaves of the State, `saved` envs."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
     return arrays | {
@@ -216,8 +193,7 @@ def checkpoint_arrays(state, envs):
 
 
 def save_checkpoint(path, state, envs, cfg):
-    """Write checkpoint.npz: learners, optimisers, alpha, and the simulations and random generator
-    of each of envs.
+    """Write checkpoint.npz: the State, and the simulations and random generators of envs.
 
     The entry `settings` is both Configs and the number of JAX's threads, as JSON. Of several
     processes all call this and the first one writes; what the i-th has of its own, the simulations
@@ -228,16 +204,16 @@ def save_checkpoint(path, state, envs, cfg):
     )
     settings |= dict(processes=jax.process_count()) if jax.process_count() > 1 else {}
     arrays = checkpoint_arrays(state, envs)
-    own = ("env", "state.key", "state.start")
-    others = parallel.gather({name: x for name, x in arrays.items() if name.startswith(own)})[1:]
+    prefixes = ("env", "state.key", "state.start")
+    mine = {name: x for name, x in arrays.items() if name.startswith(prefixes)}
+    others = parallel.gather(mine)[1:]
     arrays |= {f"{i}/{name}": x for i, own in enumerate(others, 1) for name, x in own.items()}
     if jax.process_index() == 0:
         replace_file(path, lambda file: np.savez(file, **arrays, settings=json.dumps(settings)))
 
 
 def check_settings(folder, env_cfg, cfg, processes=1):
-    """The number of JAX's threads, as text, with which the checkpoint was trained; None if it does
-    not say.
+    """The number of JAX's threads, as text, that the checkpoint was trained with, or None.
 
     Raises ValueError if it was trained with other Configs than these of config.json, or on another
     number of processes.
@@ -269,8 +245,7 @@ def check_settings(folder, env_cfg, cfg, processes=1):
 
 
 def load_checkpoint(path, template, envs):
-    """The State in checkpoint.npz; envs are restored in place. template: any State of the same
-    configuration.
+    """The State in checkpoint.npz; envs are restored in place. template: a State of its Config.
 
     Of several processes all call this, the first one reads, and each gets what is its own.
     """

@@ -9,7 +9,6 @@ import os
 import shlex
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -231,7 +230,7 @@ def scripted(monkeypatch):
 
     monkeypatch.setattr(evaluate, "load", load)
     monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:3])
+    monkeypatch.setattr(evaluate, "COMMANDS", evaluate.COMMANDS[:3])
     return loaded
 
 
@@ -654,7 +653,7 @@ def two_episodes(monkeypatch):
     monkeypatch.setattr(
         evaluate, "run_episodes", lambda mean, env, commands: evaluate.Episodes(**columns)
     )
-    monkeypatch.setattr(evaluate, "FORWARD", evaluate.FORWARD[:2])
+    monkeypatch.setattr(evaluate, "COMMANDS", evaluate.COMMANDS[:2])
 
 
 def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
@@ -673,46 +672,20 @@ def test_the_line_of_a_run_by_hand(runs, two_episodes, capsys):
     assert {name: float(printed[name]) for name in OVERVIEW} == OVERVIEW
 
 
-def test_seeds_says_when_a_reward_was_reached(runs, two_episodes):
-    """The reward of iteration i is i / 20, the mean of 20 is (i - 9.5) / 20: at 1.2 in the 34th, at
-    1.35 in the 37th.
-
-    34 times 100 001 steps are 3.4 million; 60 s an iteration, resumed after 10, are 34 minutes.
-    results/ keeps every tenth row of metrics.csv and the last one, too few for these times, but
-    enough for the numbers of the policy, without the policy. What is whole stays exact.
-    """
+def test_results_keep_every_tenth_row_and_the_last(runs):
+    """Of 35 rows these are the 10th, 20th, 30th and 35th. What is whole stays exact."""
     folder = Path(shutil.copytree(runs["flat"], "run"))
-    rows = [
-        f"{i},{100_001 * i},{i / 20},{60 * (i if i <= 10 else i - 10)},{i + 1 / 3},inf"
-        for i in range(1, 36)
-    ]
-    (folder / "metrics.csv").write_text(
-        "\n".join(["iteration,steps,reward,time_s,v_x,alpha", *rows, ""])
-    )
-    run("seeds", folder, "--episodes", 4, "--out", "out")
-    (row,) = table("out/seeds.csv")
-    times_of = [f"{unit}_{level}" for level in (1.2, 1.35) for unit in ("msteps", "minutes")]
-    assert [row[name] for name in times_of] == ["3.4", "34", "nan", "nan"]
-    assert {name: float(row[name]) for name in OVERVIEW} == OVERVIEW
+    rows = [f"{i},{100_001 * i},{i / 20},{60 * i},{i + 1 / 3},inf" for i in range(1, 36)]
+    columns = "iteration,steps,reward,time_s,v_x,alpha"
+    (folder / "metrics.csv").write_text("\n".join([columns, *rows, ""]))
     run("add", folder, "--results", "kept")
     (kept,) = record.take_out("kept/flat/run", "taken")
     assert (kept / "metrics.csv").read_text().splitlines()[::2] == [
-        "iteration,steps,reward,time_s,v_x,alpha",
-        "20,2000020,1,600,20.333,inf",
-        "35,3500035,1.75,1500,35.333,inf",
+        columns,
+        "20,2000020,1,1200,20.333,inf",
+        "35,3500035,1.75,2100,35.333,inf",
     ]
     assert [row["iteration"] for row in table(kept / "metrics.csv")] == ["10", "20", "30", "35"]
-    run("seeds", "kept/flat/run", "--episodes", 4, "--out", "out")
-    (again,) = table("out/seeds.csv")
-    assert again | {name: row[name] for name in times_of} == row
-    assert {again[name] for name in times_of} == {"nan"}
-
-
-@pytest.mark.parametrize("text", ["", "iteration,steps\n", "a,b\n1,2\n", "iteration\n1\n"])
-def test_metrics_without_rows_are_one_line(runs, capsys, text):
-    folder = Path(shutil.copytree(runs["flat"], "run"))
-    (folder / "metrics.csv").write_text(text)
-    assert "metrics.csv" in error_of(capsys, main, "seeds", folder, "--episodes", 11)
 
 
 # ---- the record: results/ ----
@@ -992,9 +965,7 @@ def test_what_is_no_run_folder_is_left_out_and_named(runs, capsys, scripted, uns
 
 
 def test_runs_of_several_tasks_have_their_own_columns(runs, scripted, capsys):
-    """`velocity` has no commands, and so no speed for each of them: another head is printed, and
-    the CSV has both.
-    """
+    """`velocity` has no commands, and so no speed for each of them: another head is printed."""
     folders = [Path(shutil.copytree(runs[name], name)) for name in ("velocity", "flat", "flat_1")]
     for folder in folders:
         rows = [f"{i},{100 * i},1,{i}" for i in range(1, 30)]
@@ -1011,8 +982,6 @@ def test_runs_of_several_tasks_have_their_own_columns(runs, scripted, capsys):
         "flat_1",
     ]
     assert len(lines[0]) == len(lines[2]) < len(lines[3]) == len(lines[5]) == len(lines[6])
-    run("seeds", *folders)
-    assert [row["v_x_at_0.1"] for row in table("seeds.csv")] == ["", "103.75", "111.75"]
 
 
 def test_a_fifth_task_needs_no_entry_but_its_own(runs, monkeypatch):
@@ -1024,8 +993,8 @@ def test_a_fifth_task_needs_no_entry_but_its_own(runs, monkeypatch):
     (folder / "metrics.csv").write_text("iteration,steps,reward,time_s\n1,10,1,1\n")
     run(folder, "--episodes", 11)
     # which know any task, and take their time
-    for what in FIGURES.keys() - {"gait", "joints", "robust"}:
-        assert main([what, "fifth", "--episodes", "11"]) == (0 if what == "seeds" else 2), what
+    for what in FIGURES.keys() - {"gait", "robust"}:
+        assert main([what, "fifth", "--episodes", "11"]) == 2, what
 
 
 @pytest.mark.parametrize("episodes", [0, -3, 10**6])
@@ -1279,32 +1248,33 @@ def test_commands_of_what_is_no_sweep_are_one_line(capsys, argv):
 
 def test_flags_that_train_does_not_know_are_one_line(capsys):
     with pytest.raises(SystemExit, match="2"):
-        evaluate.main(["--commands", "fig2", "--speed", "3"])
+        main(["missing", "fig2", "--speed", "3"])
     (line,) = capsys.readouterr().err.splitlines()
     assert "--speed" in line
 
 
 @pytest.mark.skipif(not shutil.which("xargs"), reason="needs xargs")
-def test_a_sweep_trains_as_the_readme_says(sweep):
-    """EIPO and PPO(0.005) of Fig. 2, two at a time as in README; then seven of nine commands are
-    left.
+def test_a_sweep_trains_as_the_page_says(sweep, capsys):
+    """EIPO and PPO(0.005) of Fig. 2: xargs, as on the page, starts what the lines say. A python of
+    our own writes it down. Once the two are trained, seven of nine commands are left.
     """
     flags = [*TINY, "--iterations", 2, "--threads", 1]
     lines = sweep("fig2", *flags)
-    Path("train.py").symlink_to(ROOT / "train.py")
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    done = subprocess.run(
-        "xargs -P 2 -I CMD sh -c CMD",
-        shell=True,
-        input=f"{lines[0]}\n{lines[3]}\n",
-        text=True,
-        env=os.environ | dict(PATH=path),
-        capture_output=True,
-    )
+    Path("bin").mkdir()
+    Path("bin/python").write_text('#!/bin/sh\necho python "$@" >> said\n')
+    Path("bin/python").chmod(0o755)
+    path = os.pathsep.join([str(Path("bin").absolute()), os.environ["PATH"]])
+    pipes = dict(input=f"{lines[0]}\n{lines[3]}\n", text=True, capture_output=True)
+    options = dict(shell=True, env=os.environ | dict(PATH=path)) | pipes
+    done = subprocess.run("xargs -P 2 -I CMD sh -c CMD", **options)
     assert (done.returncode, done.stderr) == (0, "")
+    assert sorted(Path("said").read_text().splitlines()) == sorted([lines[0], lines[3]])
+    for line in (lines[0], lines[3]):
+        assert train.main(shlex.split(line)[2:]) == 0
     names = ["flat-eipo-lam0.005-4envs-seed0", "flat-ppo-lam0.005-4envs-seed0"]
     assert sorted(folder.name for folder in Path("runs").iterdir()) == names
     assert all((Path("runs") / name / "policy.npz").exists() for name in names)
+    capsys.readouterr()
     assert sweep("fig2", *flags) == [lines[1], lines[2], *lines[4:]]
 
 

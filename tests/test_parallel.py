@@ -87,6 +87,7 @@ def process(out, *flags):
         np.savez(f"{out}.{jax.process_index()}.npz", **run_folder.checkpoint_arrays(state, envs))
 
     train.save, train.meet = save_and_keep, meet_and_wait
+    metrics.draw = lambda folder, weights: None  # takes longer than to train
     status = train.main(list(flags))
     if status or "--resume" in flags:
         return status
@@ -150,11 +151,14 @@ def wait_for_rows(folder, processes, rows):
         stack.pop_all()
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A run of 12 iterations on two processes, and what each of them holds at its end."""
+@pytest.fixture(scope="module", params=["ppo", pytest.param("eipo", marks=pytest.mark.slow)])
+def finished(request, tmp_path_factory):
+    """A run of 12 iterations on two processes, and what each of them holds at its end.
+
+    Each process compiles what it runs, twice as much for EIPO, and JAX's cache does not help them.
+    """
     folder = tmp_path_factory.mktemp("parallel") / "run"
-    assert ended(start(folder, *FLAGS, 12)) == ([0, 0], ["", ""])
+    assert ended(start(folder, *FLAGS, 12, "--algo", request.param)) == ([0, 0], ["", ""])
     return folder
 
 
@@ -171,19 +175,15 @@ def test_two_processes_hold_one_learner_and_environments_of_their_own(finished):
     own = "env", "state.key", "state.start"
     common = {name for name in first if name.endswith("weights") or not name.startswith(own)}
     assert [name for name in common if first[name].tobytes() != second[name].tobytes()] == []
-    for name in (
-        "env0.sim",
-        "env1.sim",
-        "env0.command",
-        "state.key",
-        "state.start[0]",
-        "state.start_prime[0]",
-    ):
-        assert len(first[name]) == 2 and not np.array_equal(first[name], second[name])
+    names = ["env0.sim", "env0.command", "state.key", "state.start[0]"]
+    names += [name for name in ("env1.sim", "state.start_prime[0]") if name in first]
+    for name in names:
+        assert not np.array_equal(first[name], second[name])
+    assert {len(first[name]) for name in names[:2]} == {2 if "env1.sim" in first else 4}
     stored = run_folder.read_npz(finished / "checkpoint.npz")
     expected = first | {
         f"1/{name}": second[name]
-        for name in set(second) - common | {"env0.command_weights", "env1.command_weights"}
+        for name in set(second) - common | {x for x in second if x.endswith("command_weights")}
     }
     assert set(expected) | {"settings"} == set(stored)
     assert [name for name, x in expected.items() if x.tobytes() != stored[name].tobytes()] == []

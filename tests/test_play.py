@@ -102,13 +102,6 @@ def test_training_loads_nothing_to_look_at_it():
 # ---- without a display ----
 
 
-def test_without_a_display_one_line_says_what_to_do(runs):
-    command = [sys.executable, ROOT / "play.py", runs["flat"]]
-    done = subprocess.run(command, env=HEADLESS, capture_output=True, text=True)
-    (line,) = done.stderr.splitlines()
-    assert done.returncode == 2 and line.startswith("play.py: ") and "--gif" in line
-
-
 @pytest.fixture(scope="module")
 def gifs(runs, tmp_path_factory):
     """A folder with flat.gif, velocity.gif and slow.gif, all made by one process (starting one

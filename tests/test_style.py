@@ -51,9 +51,7 @@ LAYERS = {
     "lab/sweep": {"matplotlib"},
     "lab/adopt": {"numpy", "mujoco"},
     "lab/gait": {"numpy", "scipy", "matplotlib"},
-    "lab/joints": {"numpy", "matplotlib"},
     "lab/robust": {"numpy", "mujoco", "matplotlib"},
-    "lab/seeds": {"numpy", "matplotlib"},
     "lab/objective": set(),
     "lab/regions": {"numpy"},
     "lab/readings": {"jax", "numpy"},
@@ -174,7 +172,10 @@ def test_equation_table_resolves_both_ways():
     assert used | set(range(1, 12)) == listed
 
 
-@pytest.mark.parametrize("tag", [*(f"eq{n:02}" for n in range(1, 12)), "algorithm1"])
+TAGS = [f"eq{n:02}" for n in range(1, 12)] + [f"line{n:02}" for n in (6, 8, 9, 12, 13)]
+
+
+@pytest.mark.parametrize("tag", [*TAGS, "algorithm1"])
 def test_each_equation_selects_its_tests(tag):
     """`pytest -k eq03` must not come back empty, nor with tests that have nothing to do with the
     paper.

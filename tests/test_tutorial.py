@@ -24,8 +24,10 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))
+    sys.path[:0] = str(ROOT), str(ROOT / "tests")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+from support import TINY
 
 import evaluate
 import play
@@ -236,12 +238,13 @@ def test_names_and_files_in_the_prose_exist():
     prose = BLOCK.sub("", PAGE.read_text())
     tests = "".join(path.read_text() for path in TESTS)
     named = set(re.findall(r"`([^`\n]+)`", prose))
+    files = {path.name for path in ROOT.rglob("*")}
     for name in named:
         if re.fullmatch(r"test_\w+", name):
             assert f"def {name}(" in tests, name
         elif re.fullmatch(r"[\w./-]+\.(py|md|csv|npz|json|xml|png)", name) and "runs/" not in name:
             a_run_s = name in ("metrics.csv", "checkpoint.npz", "config.json", "curves.png")
-            assert a_run_s or list(ROOT.rglob(Path(name).name)), name
+            assert a_run_s or Path(name).name in files, name
         elif re.fullmatch(r"\w+(\.\w+)+", name) and name.split(".")[0] in MODULES:
             assert resolve(name) is not None, name
     for link in re.findall(r"\]\(([^)#:]+)\)", prose):
@@ -299,8 +302,8 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
             end.write(f"\n\n{lines}\n")
     tested = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "turn or help"]
     tested += ["tests/paper/test_3_rewards.py", "tests/test_settings.py"]
-    small = shlex.split("--iterations 1 --num-envs 4 --num-steps 4 --num-minibatches 2")
-    trained = [sys.executable, "train.py", "--task", "turn", *small, "--out", "run"]
+    trained = [sys.executable, "train.py", "--task", "turn", *TINY, "--iterations", "1"]
+    trained += ["--out", "run"]
     for command in (tested, trained):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr

@@ -22,14 +22,14 @@ BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 SECONDS = 90  # in which the page must have shown a robot; on an idle core it takes 15
 
 
-@pytest.fixture
-def server(tmp_path):
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
     """`play.py --web` of the shipped policy on a free port: the process and its port."""
     pytest.importorskip("mujoco.studio")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     argv = ["play.py", "results/flat", "--web", "--port", str(port), "--command", "0.6", "0", "0"]
-    with open(tmp_path / "said", "w") as said, heard():
+    with open(tmp_path_factory.mktemp("web") / "said", "w") as said, heard():
         process = subprocess.Popen([sys.executable, *argv], cwd=ROOT, stdout=said, stderr=said)
     try:
         wait_for(lambda: answers(port))
@@ -87,6 +87,14 @@ class Page:
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"), int)
 
 
+def test_only_this_machine_may_look(server):
+    """Nothing listens on the other addresses of this machine."""
+    _, port = server
+    table = subprocess.run(["cat", "/proc/net/tcp"], capture_output=True, text=True).stdout
+    listening = [line.split()[1] for line in table.splitlines() if f":{port:04X} " in line]
+    assert {address.split(":")[0] for address in listening} == {"0100007F"}
+
+
 @pytest.mark.skipif(not BROWSER, reason="needs Chromium")
 def test_a_robot_runs_in_the_browser(server, tmp_path):
     """The page draws the scene, of many colours, and a second later something has moved in its
@@ -103,14 +111,6 @@ def test_a_robot_runs_in_the_browser(server, tmp_path):
         page.close()
     process.send_signal(signal.SIGINT)
     assert process.wait(30) == 130
-
-
-def test_only_this_machine_may_look(server):
-    """Nothing listens on the other addresses of this machine."""
-    _, port = server
-    table = subprocess.run(["cat", "/proc/net/tcp"], capture_output=True, text=True).stdout
-    listening = [line.split()[1] for line in table.splitlines() if f":{port:04X} " in line]
-    assert {address.split(":")[0] for address in listening} == {"0100007F"}
 
 
 def test_a_taken_port_is_one_line(tmp_path, capsys):

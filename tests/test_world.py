@@ -317,7 +317,7 @@ def test_no_foot_sinks_in(task):
     env.state.friction[:, env.feet, 0] = 2.0  # which no setting allows
     still(env, 50)
     assert soles(env.qpos[0]).min() < -0.01
-    if env.task.only_feet:
+    if env.rules.only_feet:
         env.state.friction[:, env.feet, 0] = 3.0
         assert any(still(env)[2] for _ in range(100))
 

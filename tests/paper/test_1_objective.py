@@ -107,7 +107,7 @@ def test_eq10_every_lambda_can_be_trained(algo, lambdas):
 # ---- GAE and the estimates of L8, L10, L12 ----
 
 
-def test_gae_plain():
+def test_algorithm1_line08_gae_plain():
     """gamma = gae_lambda = 1/2, r = V = 1: every delta is 1 + 1/2 - 1 = 1/2; summed back with 1/4:
 
     1/2,  1/2 + 1/8 = 0.625,  1/2 + 0.625 / 4 = 0.65625
@@ -115,7 +115,7 @@ def test_gae_plain():
     assert gae(ones, ones, ones, never, never, 0.5, 0.5).tolist() == [0.65625, 0.625, 0.5]
 
 
-def test_gae_terminated():
+def test_algorithm1_line08_gae_terminated():
     """Nothing comes after t = 1, whatever V says: delta_1 = 1 + 0 - 1 = 0, and t = 0 gets 1/2 + 0 /
     4.
     """
@@ -126,7 +126,7 @@ def test_gae_terminated():
     ]
 
 
-def test_gae_truncated():
+def test_algorithm1_line08_gae_truncated():
     """Cut at 1, where V(final_obs) = 3: delta_1 = 1 + 3/2 - 1 = 1.5; t = 2 is another episode; t =
     0: 1/2 + 1.5/4.
     """
@@ -134,7 +134,7 @@ def test_gae_truncated():
     assert cut.tolist() == [0.875, 1.5, 0.5]
 
 
-def test_gae_is_linear():
+def test_algorithm1_line08_gae_is_linear():
     """alpha gae(r) - gae(f) == gae(alpha r - f), bit by bit: mixing advantages is mixing rewards,
     and can wait.
     """
@@ -165,7 +165,7 @@ def estimate_of(obs, reward, terminated, truncated, final_obs, after, critic=1.0
     return eipo.estimate(handmade(critic=((critic,), (0.0,))), tau, EIPO)
 
 
-def test_gae_bootstraps_from_the_final_observation():
+def test_algorithm1_line08_gae_bootstraps_from_the_final_observation():
     """The critic says V(obs) = obs. Observations 1, 1 | 64 (a new episode, after a time limit),
     then 5.
 
@@ -180,7 +180,7 @@ def test_gae_bootstraps_from_the_final_observation():
     assert eipo.estimate_J(estimate) == 2.625
 
 
-def test_gae_ends_where_an_episode_terminated():
+def test_algorithm1_line08_gae_ends_where_an_episode_terminated():
     """Fallen at t = 1 and at the last step: only the reward counts there. 1 - 1 = 0, 1 - 64 = -63;
     t = 0: 1/2 + 0/4.
     """
@@ -188,7 +188,7 @@ def test_gae_ends_where_an_episode_terminated():
     assert estimate.advantage.ravel().tolist() == [0.5, 0, -63]
 
 
-def test_estimate_J_is_not_of_normalised_advantages():
+def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
     """D8. One-step episodes, V = 0: rewards (0, 2, 0, 2) give J = 1, rewards (2, 4, 2, 4) give J =
     3: the gap is -2.
 
@@ -206,7 +206,7 @@ def test_estimate_J_is_not_of_normalised_advantages():
     assert normalised[0].mean() == 0
 
 
-def test_estimate_J_is_the_task_alone():
+def test_algorithm1_line12_estimate_J_is_the_task_alone():
     """Targets (1, 64) and (3, 64) of the streams (task, cost): J = (1 + 3) / 2 = 2, the cost is not
     asked.
     """
@@ -217,7 +217,7 @@ def test_estimate_J_is_the_task_alone():
 @pytest.mark.parametrize(
     ("alpha", "lam", "share"), [(6.0, 0.25, 0.75), (4.0, 0.25, 2 / 3), (np.inf, 0.0, 1.0)]
 )
-def test_share_of_the_task_in_the_objective(alpha, lam, share):
+def test_algorithm1_share_of_the_task_in_the_objective(alpha, lam, share):
     """A_r = +-1 and lam A_f = +-1/2 with lam = 1/4, so A_f = +-2: 6 / (6 + 2) at alpha = 6, 4 / (4
     + 2) at 1 / lam.
 
@@ -241,7 +241,7 @@ def alphas(gaps, cfg=PAPER, start=200.0):
     return np.array([dual.alpha for dual in duals]), duals[-1]
 
 
-def test_alpha_momentum():
+def test_algorithm1_line13_alpha_momentum():
     """alpha = 200, eta 0.01, clip 1, momentum 0.99; pi lags by 2, lags by 1, leads by 1/2:
 
     gap -2:  g = clip(2) = 1   v = 1                        alpha = 200.01
@@ -251,13 +251,13 @@ def test_alpha_momentum():
     assert alphas((-2, -1, 0.5))[0] == pytest.approx([200, 200.01, 200.0299, 200.044601], rel=1e-12)
 
 
-def test_alpha_gradient_is_clipped_both_ways():
+def test_algorithm1_line13_alpha_gradient_is_clipped_both_ways():
     """However far ahead or behind, the gradient is 1: v = 0.99 * 0 -+ 1."""
     assert eipo.step_alpha(Dual(200.0, 0.0), 64.0, PAPER).momentum == -1
     assert eipo.step_alpha(Dual(200.0, 0.0), -64.0, PAPER).momentum == 1
 
 
-def test_alpha_stays_above_zero_and_loses_its_momentum_there():
+def test_algorithm1_line13_alpha_stays_above_zero_and_loses_its_momentum_there():
     """0.005 - 0.01 < 0: alpha = 0, v = 0. What follows is a fresh start: 0 + 0.01 * 1, not 0.01 *
     (1 - 0.99).
     """
@@ -267,12 +267,12 @@ def test_alpha_stays_above_zero_and_loses_its_momentum_there():
 
 
 @pytest.mark.parametrize("gap", [np.nan, np.inf, -np.inf])
-def test_alpha_stays_where_it_is_when_the_gap_is_not_finite(gap):
+def test_algorithm1_line13_alpha_stays_where_it_is_when_the_gap_is_not_finite(gap):
     """nan > 0 is false: without care one bad reward would switch the task off."""
     assert eipo.step_alpha(Dual(200.0, 1.0), gap, PAPER) == Dual(200.0, 1.0)
 
 
-def test_alpha_dampening_turns_momentum_into_an_average():
+def test_algorithm1_line13_alpha_dampening_turns_momentum_into_an_average():
     """dampening 0.99: v = 0.01 * 1, alpha = 200 + 0.01 * 0.01; a constant gradient of 1 never gets
     v above 1.
     """
@@ -283,7 +283,7 @@ def test_alpha_dampening_turns_momentum_into_an_average():
     assert alphas([-1.0] * 2000, cfg)[1].momentum == pytest.approx(1)
 
 
-def test_alpha_moves_by_one_per_iteration_in_the_limit():
+def test_algorithm1_line13_alpha_moves_by_one_per_iteration_in_the_limit():
     """v -> 1 / (1 - 0.99) = 100, so that alpha gains at most 0.01 * 100 = 1 per iteration, be the
     gap ever so wide.
     """

@@ -113,7 +113,7 @@ def roll(env, params, **changes):
     return *eipo.rollout(env, params, (obs, info["privileged"]), jax.random.key(0), cfg), cfg
 
 
-def test_rollout_bootstraps_from_the_final_observation():
+def test_algorithm1_line06_rollout_bootstraps_from_the_final_observation():
     """Episodes of 1, 2 and 3 steps, cut by a time limit; the final observation is (x, length - 1).
     gamma = 1/2, r = 0.
 
@@ -150,7 +150,7 @@ class Overtime(Probe):
         return *result, info
 
 
-def test_rollout_bootstraps_from_where_the_last_step_led():
+def test_algorithm1_line06_rollout_bootstraps_from_where_the_last_step_led():
     """Episodes of 2 steps lead to t = 1 and, at the time limit, to t = 2, before the next one's 0.
     gamma = 1/2, r = 0.
 
@@ -167,13 +167,13 @@ def test_rollout_bootstraps_from_where_the_last_step_led():
     assert (advantage[..., 0] == [[1.5], [0], [1.5]]).all()
 
 
-def test_rollout_a_fall_has_no_final_observation():
+def test_algorithm1_line06_rollout_a_fall_has_no_final_observation():
     tau, *_ = roll(Probe(one, length=2), known(2))
     assert tau.terminated.all(1).tolist() == [False, True, False] and not tau.truncated.any()
     assert tau.final[0].shape == (0, 2)
 
 
-def test_rollout_streams_are_of_comparable_size():
+def test_algorithm1_line06_rollout_streams_are_of_comparable_size():
     """D6, D10. Standing: r = 1, f = -126 W. In training 0.02 * 1 = 0.02 and 0.02 * 0.005 * -126 =
     -0.0126 a step.
     """
@@ -184,7 +184,7 @@ def test_rollout_streams_are_of_comparable_size():
     assert np.array_equal(roll(env, known(1), **scales)[0].reward, tau.reward[..., :1])
 
 
-def test_rollout_noise_is_fresh_at_every_step():
+def test_algorithm1_line06_rollout_noise_is_fresh_at_every_step():
     """With mean 0 and std 1 the actions are the noise: 3 steps of 16 robots are 48 different
     numbers.
     """
@@ -599,7 +599,7 @@ def test_probes_5_to_7_the_best_action(reward, cost, best):
     assert means(learn(Probe(reward, cost) if cost else Probe(reward), 60).pi) == near(best)
 
 
-def test_eq03_probe_7_eipo_puts_the_task_first():
+def test_eq03_eipo_puts_the_task_first():
     """From the same weight, pi_prime shows that the task pays more: alpha rises, and pi comes to
     1/2 as well.
     """

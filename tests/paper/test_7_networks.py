@@ -316,14 +316,14 @@ def test_dense_is_the_same_policy(is_mirrored):
     ("ratio", "advantage", "expected"),
     [(1.5, 1, 1.25), (0.5, 1, 0.5), (1.5, -1, -1.5), (0.5, -1, -0.75)],
 )
-def test_ppo_clip_four_cases(ratio, advantage, expected):
+def test_algorithm1_line09_ppo_clip_four_cases(ratio, advantage, expected):
     """eps = 1/4: the ratio counts up to 1.25 if the action was good, down to 0.75 if it was bad;
     never for free.
     """
     assert ppo.clipped_surrogate(ratio, advantage, 0.25) == expected
 
 
-def test_ppo_loss():
+def test_algorithm1_line09_ppo_loss():
     """The action was likelier by 1.5 than when it was taken, and good: the surrogate counts 1 +
     0.2.
 
@@ -341,7 +341,7 @@ def test_ppo_loss():
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
 
 
-def test_ppo_loss_sums_over_outputs_and_averages_over_samples():
+def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples():
     """Two heads say V = (1, 1): targets (3, 2) cost 4 + 1 = 5, targets (1, 1) nothing: 5/2 a
     sample.
 
@@ -397,7 +397,7 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, **changes):
 @pytest.mark.parametrize(
     ("log_std", "std"), [(-10.0, 0.018), (10.0, 2.7), (-3.9, 0.020), (0.9, 2.5)]
 )
-def test_ppo_keeps_the_noise_in_its_range(log_std, std):
+def test_algorithm1_line09_ppo_keeps_the_noise_in_its_range(log_std, std):
     """D40: a standard deviation from 0.018 to 2.7. lr = 0 moves nothing but what is out of range.
 
     It is put back after the step, not in the forward pass: there it would stop the gradient that
@@ -408,7 +408,7 @@ def test_ppo_keeps_the_noise_in_its_range(log_std, std):
     ) == pytest.approx(std, rel=0.03)
 
 
-def test_ppo_normalises_the_advantage():
+def test_algorithm1_line09_ppo_normalises_the_advantage():
     """4 A + 1 has the mean 4 m + 1 and the deviation 4 s: normalised it is A again, so the update
     is the same one.
 
@@ -423,32 +423,32 @@ def test_ppo_normalises_the_advantage():
     assert float(small[0]) == pytest.approx(float(usual["actor"]["log_std"][0]), abs=1e-3)
 
 
-def test_ppo_shuffles_the_minibatches():
+def test_algorithm1_line09_ppo_shuffles_the_minibatches():
     """Another key draws other minibatches from the same data; the same key draws the same ones."""
     assert trees_equal(one_update()[0], one_update()[0])
     assert not trees_equal(one_update()[0], one_update(key=jax.random.key(1))[0])
 
 
-def test_ppo_trains_the_estimator_by_its_own_error_alone():
+def test_algorithm1_line09_ppo_trains_the_estimator_by_its_own_error_alone():
     """D19: other advantages train another actor; the estimator, and the critic, do not notice."""
     one, other = (one_update(advantage=advantages(seed))[0] for seed in (3, 4))
     assert not trees_equal(one["actor"], other["actor"])
     assert trees_equal([one["estimator"], one["critic"]], [other["estimator"], other["critic"]])
 
 
-def test_ppo_entropy_bonus_widens_the_noise():
+def test_algorithm1_line09_ppo_entropy_bonus_widens_the_noise():
     """Equal advantages normalise to 0, so that the bonus alone moves log_std: up, from 0."""
     assert one_update(advantage=np.ones((8, 16), np.float32))[0]["actor"]["log_std"] > 0
 
 
-def test_ppo_clips_gradients_per_network():
+def test_algorithm1_line09_ppo_clips_gradients_per_network():
     """Targets of a million want a huge step of the critic; the other two networks do not notice."""
     usual, huge = one_update()[0], one_update(target=np.full((8, 16, 2), 1e6, np.float32))[0]
     assert trees_equal([usual["actor"], usual["estimator"]], [huge["actor"], huge["estimator"]])
     assert not trees_equal(usual["critic"], huge["critic"])
 
 
-def test_ppo_clips_the_norm_at_max_grad_norm():
+def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
     """Gradients (3, 4) of norm 5 and (3/8, 4/8) of norm 5/8: clipped to (0.6, 0.8), and untouched.
 
     Adam's mean starts at 1/10 of that, its mean square at 1/1000, and its first direction is 1 up
@@ -508,7 +508,7 @@ def test_lr_follows_the_mean_kl_of_the_minibatches():
     assert float(log["next_lr"]) == pytest.approx(3e-5)
 
 
-def test_ppo_skips_a_minibatch_that_is_not_finite():
+def test_algorithm1_line09_ppo_skips_a_minibatch_that_is_not_finite():
     """One nan among the samples is in one of the two minibatches of every epoch: of 4 x 2 steps, 4
     are skipped.
     """
@@ -520,7 +520,7 @@ def test_ppo_skips_a_minibatch_that_is_not_finite():
     assert not trees_equal(params["critic"], before["critic"])
 
 
-def test_ppo_shuffles_anew_in_every_epoch():
+def test_algorithm1_line09_ppo_shuffles_anew_in_every_epoch():
     """D41. Two nans spoil one minibatch of an epoch, if they meet, or two. One order for all 4
     epochs: 4 or 8.
     """
@@ -529,7 +529,7 @@ def test_ppo_shuffles_anew_in_every_epoch():
     assert 4 < one_update(target=target)[1]["skipped"] < 8
 
 
-def test_ppo_keeps_the_parameters_when_nothing_is_finite():
+def test_algorithm1_line09_ppo_keeps_the_parameters_when_nothing_is_finite():
     """All 4 x 2 steps are skipped: what is left is what was there, bit by bit."""
     params, log, before = one_update(target=np.full((8, 16, 2), np.inf, np.float32))
     assert log["skipped"] == 8 and trees_equal(params, before)
