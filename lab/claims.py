@@ -1,4 +1,5 @@
-"""The paper's claims by rule: `python -m lab claims` prints the table of results/README.md.
+"""The paper's claims by rule: `python -m lab claims` prints the table of results/README.md, and
+`python -m lab claims table1` that of results/velocity/README.md, with every lambda of Table I.
 
 Each claim compares two kinds of runs by one number of each seed, computed from the episodes that
 results/ keeps. The difference of the means has a 95 % interval over seeds, by Welch's t. The rule:
@@ -16,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 import evaluate
-from lab import episodes, record
+from lab import episodes, record, sweep
 from lab.statistics import iqm
 
 # where the paper claims it | what | by which of NUMBERS | kinds of runs, as TASK/NAME without seed
@@ -52,6 +53,13 @@ Fig. 5 | EIPO draws no more than the shaped reward | power
 """
 
 
+TABLE1 = "\n".join(
+    f"Table I | EIPO peaks above PPO({lam:g}) | peak\n"
+    f"velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam{lam:g}"
+    for lam in sweep.LAMBDAS
+)
+
+
 class Claim(NamedTuple):
     """One claim of the paper: by a number, the runs `ours` are above (>) or below (<) `rivals`."""
 
@@ -63,9 +71,9 @@ class Claim(NamedTuple):
     rivals: str
 
 
-def claims():
-    """The table above."""
-    rows = CLAIMS.strip().split("\n")
+def claims(text=CLAIMS):
+    """The Claims of a text like CLAIMS."""
+    rows = text.strip().split("\n")
     for head, kinds in zip(rows[::2], rows[1::2], strict=True):
         yield Claim(*(x.strip() for x in head.split("|")), *kinds.split())
 
@@ -139,11 +147,11 @@ def verdict(ours, rivals, less=False):
     return difference, (low, high), "yes" if (difference < 0) == less else "no"
 
 
-def lines(results=None):
-    """The lines of the table."""
+def lines(text=CLAIMS, results=None):
+    """The lines of the table of a text like CLAIMS."""
     yield "| paper | claim | ours | rival | difference [95 %] | seeds | verdict |"
     yield "|---" * 7 + "|"
-    for claim in claims():
+    for claim in claims(text):
         ours, rivals = (seeds(kind, claim.number, results) for kind in (claim.ours, claim.rivals))
         if not ours or not rivals:
             missing = claim.rivals if ours else claim.ours
@@ -157,9 +165,14 @@ def lines(results=None):
         yield f"| {' | '.join(cells)} |"
 
 
-def table(path=None):
-    """All that `python -m lab claims` prints; path: of the folder of results, if not ours."""
-    rows = [*lines(Path(path) if path else None)]
+def table(which="", path=None):
+    """What `python -m lab claims WHICH` prints; path: of the folder of results, if not ours.
+
+    Raises ValueError if which is not "table1" or "".
+    """
+    if which not in ("", "table1"):
+        raise ValueError(f"claims takes table1 or nothing, not {which}")
+    rows = [*lines(TABLE1 if which else CLAIMS, Path(path) if path else None)]
     words = [row.split(" | ")[-1].removesuffix(" |") for row in rows[2:]]
     tally = ", ".join(f"{words.count(word)} {word}" for word in ("yes", "no", "undecided"))
     return [*rows, "", f"In all: {tally}."]

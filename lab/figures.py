@@ -85,7 +85,7 @@ def draw_lines(axes, rows, x, column):
 
 
 def name_lines(axes):
-    """Write the name of each line of the axes beside its end, in its color, one above the other.
+    """Write the name of each line of the axes beside its end, one above the other.
 
     A line without a finite number ends at the top: robots that do not move spend infinite J/m.
     """
@@ -99,7 +99,7 @@ def name_lines(axes):
         places[above] = max(places[above], places[below] + step)
     places[order] = np.minimum(places[order], 1 - step * np.arange(len(order))[::-1])
     for line, end, place in zip(axes.lines, ends, places, strict=True):
-        style = dict(color=line.get_color(), fontsize=7, va="center", annotation_clip=False)
+        style = dict(fontsize=7, va="center", annotation_clip=False)
         arrow = dict(arrowstyle="-", color=line.get_color(), linewidth=0.6)
         at = (1.0, max(end, 0))
         text = (1.04, place)

@@ -34,13 +34,26 @@ def dots(folders):
     return rows
 
 
-def scatter(axes, rows, x, y):
-    """A dot for each row: EIPO a blue diamond, PPO by lambda."""
-    for algo, marker in (("ppo", "o"), ("eipo", "D")):
-        for row in (row for row in rows if row["algo"] == algo):
-            color = sweep.color(row["kind"])
-            axes.scatter(x(row), row[y], 36, color=color, marker=marker, alpha=0.85, linewidths=0)
+def scatter(axes, rows, x, y, floor=-np.inf):
+    """A dot for each row: EIPO a blue diamond, PPO by lambda, and a triangle where y is lower."""
+    for row in sorted(rows, key=lambda row: row["algo"], reverse=True):  # EIPO above
+        marker = "D" if row["algo"] == "eipo" else "o"
+        style = dict(marker="v" if row[y] < floor else marker, alpha=0.85, linewidths=0)
+        axes.scatter(x(row), max(row[y], floor), 36, color=sweep.color(row["kind"]), **style)
     axes.grid(alpha=0.3)
+
+
+def explain(figure, place):
+    """The legend: EIPO, and PPO by groups of lambdas."""
+    names = {sweep.color("EIPO"): "EIPO"}
+    for lam in sweep.LAMBDAS:
+        color = sweep.color(f"PPO({lam:g})")
+        first = names.get(color, f"PPO({lam:g})").removesuffix(")").split(" to ")[0]
+        names[color] = f"{first} to {lam:g})" if color in names else f"{first})"
+    for color, name in names.items():
+        marker = "D" if name == "EIPO" else "o"
+        figure.axes[0].scatter([], [], color=color, marker=marker, label=name)
+    figure.legend(loc=place, fontsize=8, ncols=1 if "right" in place else len(names))
 
 
 def tradeoff(folders, args):
@@ -52,11 +65,8 @@ def tradeoff(folders, args):
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     for axes, (task, title) in zip(figure.subplots(1, len(TASKS)), TASKS.items(), strict=True):
         mine = [row for row in rows if row["task"] == task]
-        low = [row for row in mine if row["score"] < FLOOR[task]]
-        scatter(axes, [row for row in mine if row not in low], lambda row: row["power"], "score")
-        for row in low:
-            style = dict(marker="v", color=sweep.color(row["kind"]), linewidths=0)
-            axes.scatter(row["power"], FLOOR[task], 36, **style)
+        scatter(axes, mine, lambda row: row["power"], "score", FLOOR[task])
+        axes.margins(y=0.08)  # room for names
         axes.set(xscale="log", xlabel="power [W]", ylabel=title, title=task)
         axes.set_xticks(ticks := (100, 200, 400, 800), ticks)
         axes.minorticks_off()
@@ -65,11 +75,7 @@ def tradeoff(folders, args):
         axes.axhline(speed, color="black", linestyle=":", linewidth=0.8)
         place = dict(transform=axes.get_yaxis_transform(), fontsize=7, va="bottom")
         axes.text(0.02, speed, f"{name}, the paper's", **place)
-    kinds = ["EIPO", *(f"PPO({lam:g})" for lam in sweep.LAMBDAS)]
-    for kind in kinds:
-        style = dict(marker="D" if kind == "EIPO" else "o", color=sweep.color(kind))
-        axes.scatter([], [], label=kind, **style)
-    figure.legend(loc="outside right center", fontsize=8, title="a dot is a seed")
+    explain(figure, "outside right center")
     return rows, figure
 
 
@@ -99,13 +105,18 @@ def lambdas(folders, args):
     panels = figure.subplots(3, len(tasks), squeeze=False, sharex=True)
     for column, task in zip(panels.T, tasks, strict=True):
         mine = [row | dict(end=1 / row["alpha"]) for row in rows if row["task"] == task]
-        for axes, y in zip(column, ("score", "power", "end"), strict=True):
-            scatter(axes, [r for r in mine if y != "end" or r["algo"] == "eipo"], shown, y)
+        scatter(column[0], mine, shown, "score", FLOOR[task])
+        scatter(column[1], mine, shown, "power")
+        scatter(column[2], [row for row in mine if row["algo"] == "eipo"], shown, "end")
         column[0].set(title=task, ylabel=TASKS[task])
         column[1].set(yscale="log", ylabel="power [W]")
-        column[2].set(yscale="log", ylabel="EIPO's 1 / alpha at the end", xlabel="lambda, lambda_0")
+        column[1].set_yticks(ticks := (100, 200, 400, 800), ticks)
+        column[1].minorticks_off()
+        end = "EIPO's last 1 / alpha [1/W]"
+        column[2].set(yscale="log", ylabel=end, xlabel="lambda, lambda_0 [1/W]")
         column[2].set_xscale("log")
         column[2].axline((1e-4, 1e-4), (1e-2, 1e-2), color="black", linestyle=":", linewidth=0.8)
+    explain(figure, "outside upper center")
     return rows, figure
 
 

@@ -90,11 +90,15 @@ def read_by(cfg):
 
 
 def color(name):
-    """The color of a kind of run in every figure: EIPO is blue, PPO yellow to brown by lambda."""
+    """The color of a kind of run in every figure: EIPO is blue, PPO yellow to brown by lambda.
+
+    There are five for PPO, which one can tell apart: of 0, up to 0.0005, 0.002, 0.005 and more.
+    """
     if name.startswith("EIPO"):
         return "#0072B2"
     lam = float(name[len("PPO(") : name.index(")")])
-    return colormaps["YlOrBr"](0.3 + 0.07 * sum(x <= lam for x in LAMBDAS))
+    group = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
+    return colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[group])
 
 
 def missing_runs(what, flags):

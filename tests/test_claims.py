@@ -76,15 +76,20 @@ def test_the_claims_name_kinds_of_runs():
             assert any(run.removeprefix(f"{name}-seed").isdecimal() for run in runs), kind
 
 
-def test_the_page_has_what_the_command_prints(capsys):
-    assert main(["claims"]) == 0
-    page = (ROOT / "results" / "README.md").read_text()
+@pytest.mark.parametrize(
+    "argv, page", [([], "README.md"), (["table1"], "velocity/README.md")], ids=["claims", "table1"]
+)
+def test_the_page_has_what_the_command_prints(capsys, argv, page):
+    assert main(["claims", *argv]) == 0
+    text = (ROOT / "results" / page).read_text()
     for line in capsys.readouterr().out.splitlines():
-        assert line in page, line
+        assert line in text, line
 
 
 def test_results_without_a_kind_are_one_line(tmp_path, capsys):
-    assert "flat-eipo-lam0.005" in error_of(capsys, main, "claims", tmp_path)
+    with pytest.raises(ValueError, match=r"flat-eipo-lam0\.005"):
+        claims.table(path=tmp_path)
+    assert "table1" in error_of(capsys, main, "claims", "table2")
 
 
 def test_dots_of_runs(tmp_path):
@@ -100,7 +105,8 @@ def test_dots_of_runs(tmp_path):
     assert {name: row[name] for name in expected} == expected
     for draw in (overview.tradeoff, overview.lambdas):
         _, figure = draw(folders, None)
-        points = [c.get_offsets()[0].tolist() for c in figure.axes[0].collections]
+        collections = [c.get_offsets() for c in figure.axes[0].collections]
+        points = [c[0].tolist() for c in collections if len(c)]  # but for those of the legend
         assert points[0][1] == 1.5 and points[0][0] in (200, 0.005)
     with pytest.raises(ValueError, match="kept episodes"):
         overview.dots(folders[1:])

@@ -409,7 +409,7 @@ def test_eipo_comes_first_then_lambda_ascends(runs, scripted, unsaved):
 
 
 def test_every_kind_of_run_has_a_line_of_its_own():
-    """Ten kinds in one figure: no two share colour or marker, EIPO is the thickest."""
+    """Ten kinds in one figure: no two share colour and marker, EIPO is the thickest."""
     axes = Figure().subplots()
     intervals = dict(y_low=-1, y_high=2, y_seeds_low=-2, y_seeds_high=3)
     figures.draw_lines(
@@ -417,11 +417,8 @@ def test_every_kind_of_run_has_a_line_of_its_own():
     )
     lines = axes.get_lines()
     assert [line.get_label() for line in lines] == KINDS
-    assert (
-        len({str(line.get_color()) for line in lines})
-        == len({line.get_marker() for line in lines})
-        == 10
-    )
+    assert len({line.get_marker() for line in lines}) == 10
+    assert len({str(line.get_color()) for line in lines}) == 6
     assert lines[0].get_linewidth() > max(line.get_linewidth() for line in lines[1:])
     episodes, seeds = axes.collections[:2]
     assert [band.get_datalim(axes.transData).intervaly.tolist() for band in (episodes, seeds)] == [
@@ -432,8 +429,8 @@ def test_every_kind_of_run_has_a_line_of_its_own():
 
 
 def test_a_kind_has_its_color_in_every_figure():
-    """Whatever else a run's name says, EIPO is blue and a lambda has its shade; of the larger one
-    it is darker.
+    """Whatever else a run's name says, EIPO is blue and a lambda has the shade of its group; of
+    a larger one it is darker.
     """
     color = sweeps.color
     assert color("EIPO") == color("EIPO from 0.01, 256 robots") == "#0072B2"
