@@ -162,6 +162,11 @@ def finished(request, tmp_path_factory):
     return folder
 
 
+def algorithm(folder):
+    """The flags that give another run the algorithm of this one."""
+    return "--algo", run_folder.load_config(folder)[1].algo
+
+
 def held(folder, process):
     return run_folder.read_npz(folder.with_name(f"{folder.name}.{process}.npz"))
 
@@ -263,7 +268,7 @@ def resumes(finished, folder):
 @pytest.mark.parametrize("victim", [0, 1])
 def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim):
     folder = tmp_path / "run"
-    processes = start(folder, *FLAGS, 12, pause=0.5)
+    processes = start(folder, *FLAGS, 12, *algorithm(finished), pause=0.5)
     wait_for_rows(folder, processes, 5)
     processes[victim].kill()
     # on a busy machine; it is told within one
@@ -277,7 +282,8 @@ def test_kill_9_of_one_ends_the_other_and_both_resume(finished, tmp_path, victim
 @pytest.mark.slow
 def test_a_stop_that_one_is_asked_for_stops_both(finished, tmp_path):
     folder = tmp_path / "run"
-    processes = start(folder, *FLAGS, 12, pause=0.5)  # or all is done before they are asked
+    # or all is done before they are asked
+    processes = start(folder, *FLAGS, 12, *algorithm(finished), pause=0.5)
     wait_for_rows(folder, processes, 5)
     processes[1].send_signal(signal.SIGTERM)
     assert ended(processes)[0] == [130, 130]
