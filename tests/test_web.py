@@ -62,7 +62,7 @@ class Page:
 
     def __init__(self, url, folder):
         flags = "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader"
-        flags = [*flags.split(), "--window-size=600,400", "--remote-debugging-port=0"]
+        flags = [*flags.split(), "--window-size=320,240", "--remote-debugging-port=0"]
         argv = [BROWSER, *flags, f"--user-data-dir={folder}", url]
         self.process = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
         said = (line for line in self.process.stderr if "DevTools listening on" in line)
