@@ -198,9 +198,10 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, start, tmp_p
     assert rows(tmp_path) == rows(finished)
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_saves(finished, start, tmp_path):
     """SIGHUP, when nobody reads any more what is printed. The same is true when Ctrl-C ends `tee`
-    as well.
+    as well. test_ctrl_c_twice has SIGHUP without a process of its own.
     """
     process = start_and_wait(start, tmp_path)
     process.stdout.close(), process.stderr.close()
