@@ -213,6 +213,9 @@ def train(folder, env_cfg, cfg, options, command, stop):
             if lead:
                 log.sync()
             save(folder, state, envs, cfg, networks.dense(state.pi.params))
+        if state.pi_prime and last and lead:  # the rival, with which one compares pi, Eq. (3)
+            prime = networks.dense(state.pi_prime.params)
+            policy_file.save(folder / "policy_prime.npz", prime, envs[1].env_cfg)
         if asked:
             break
     return state.iteration if state.iteration < cfg.iterations else None

@@ -7,6 +7,7 @@
     checkpoint.npz   all that the next iteration depends on: learners, optimisers, alpha,
                      simulations, random generators
     policy.npz       all that it takes to run the policy
+    policy_prime.npz the same of pi_prime, when a run of EIPO has ended
     curves.png       the metrics, drawn
     episodes.csv.gz  episodes that `python -m lab` has played with this policy
     commands.png     on the task `curriculum`: which commands it has reached
@@ -21,6 +22,7 @@ import errno
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -35,6 +37,7 @@ import numpy as np
 
 import eipo
 import tasks
+from go1_env import CORES
 from runtime import parallel
 from runtime.flags import check_learner, check_world, to_config, tuples
 
@@ -57,6 +60,15 @@ def commit():
         ).strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+
+
+def cpu_model():
+    """The name of this machine's processor, as the system gives it."""
+    try:
+        names = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.M)
+    except OSError:  # no Linux
+        names = []
+    return names[0] if names else platform.processor()
 
 
 def replace_file(path, write):
@@ -117,6 +129,7 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
+    about |= dict(cpu=cpu_model(), cores=CORES)
     record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     replace_file(
         folder / "config.json",
