@@ -6,18 +6,18 @@ which is Algorithm 1 without pi_prime. What they call follows in the order of th
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
-    alpha, lam      the multiplier of Eq. (4), and lambda_0: 1 / alpha is the lambda of Eq. (2),
-                    and starts at lam (D6)
+    lam             lambda_0, the weight of F in Eq. (2) with which training starts
+    alpha           the multiplier of Eq. (4), the weight of J. It starts at 1 / lam (D6)
     T, N            steps of a rollout, and number of environments
     D, P, A, K      widths, see `networks.py`
 
-An environment is anything with `reset(seed)`, `step(action)`, `obs_size`, `privileged_size`,
-`action_size` and, if it has one, a `mirror`, as `go1_env.Go1Env` documents them. No robot, no file
+An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `frame_size`,
+`privileged_size`, `action_size` and `mirror`, as `go1_env.Go1Env` documents them. No robot, no file
 and no other process is known here. The loop over iterations is plain Python, so that a
 `breakpoint()` works in it. Acting and learning are compiled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -25,12 +25,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from networks import Mirror, log_prob, policy, sample, value
-from ppo import Learner, global_mean, init_learner, ppo_update
+from networks import sample, value
+from ppo import Learner, PPOConfig, init_learner, ppo_update
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(PPOConfig):
     """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
     algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
@@ -39,25 +39,17 @@ class Config:
     num_envs: int = 256  # [ours] environments in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
     num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
-    num_epochs: int = 5  # [IV-C] passes over a rollout
-    num_minibatches: int = 4  # [IV-C] minibatches per pass
-    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] KL divergence of an update that lr aims at; 0: fixed (D20)
-    gamma: float = 0.99  # [lab code] discount, Eq. (1)
-    gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
-    clip_eps: float = 0.2  # [lab code] PPO's clip range
-    ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab: 0.01
-    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient
-    reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
     lr_alpha: float = 0.01  # [IV-C] eta_alpha; two tasks have a longer one (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
     dampening_alpha: float = 0.0  # [ours] as in torch's SGD; 0.99 makes momentum an average
     alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
-    log_std: float = 0.0  # [lab code] log of the noise's standard deviation at the start
-    mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs
-    hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
-    hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
+    mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs (D28)
+
+    @property
+    def ppo(self):
+        """The part with which a learner is compiled, so that a new seed or lam compiles nothing."""
+        return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
 
 
 class Dual(NamedTuple):
@@ -75,21 +67,21 @@ class State(NamedTuple):
     pi: Learner
     pi_prime: Learner | None  # None for PPO
     dual: Dual
-    start: tuple  # obs (N, D), privileged (N, P) with which pi's next rollout begins
-    start_prime: tuple | None  # None for PPO
 
 
-class Rollout(NamedTuple):
-    """tau of Algorithm 1: T steps of N environments."""
+class Transition(NamedTuple):
+    """One step of N environments, (N, ...). tau of Algorithm 1 is T of them, (T, N, ...)."""
 
-    obs: np.ndarray  # (T, N, D)
-    privileged: np.ndarray  # (T, N, P)
-    action: np.ndarray  # (T, N, A)
-    reward: np.ndarray  # (T, N, K) streams: reward r and, for pi, cost lam f, times reward_scale
-    terminated: np.ndarray  # (T, N) where an episode ended
-    truncated: np.ndarray  # (T, N) where its time was up; never both
-    after: tuple  # obs (N, D), privileged (N, P) after the last step
-    final: tuple  # obs (M, D), privileged (M, P), the last ones of truncated episodes, and padding
+    obs: np.ndarray  # (N, D)
+    privileged: np.ndarray  # (N, P)
+    action: np.ndarray  # (N, A)
+    log_prob: np.ndarray  # (N,) of the action, under the policy that chose it
+    reward: np.ndarray  # (N,) r of the step
+    cost: np.ndarray  # (N,) f of the step
+    terminated: np.ndarray  # (N,) bool, where the episode ended
+    truncated: np.ndarray  # (N,) bool, where its time was up; never both
+    next_obs: np.ndarray  # (N, D) where the step led, also where the episode ended
+    next_privileged: np.ndarray  # (N, P)
 
 
 class Estimate(NamedTuple):
@@ -97,7 +89,6 @@ class Estimate(NamedTuple):
 
     advantage: jax.Array  # (T, N, K) of each stream, never normalised
     target: jax.Array  # (T, N, K) lambda-returns: the critic learns them, their mean estimates J
-    log_prob: jax.Array  # (T, N) of the actions, under the policy that chose them
 
 
 # ---- Algorithm 1 ----
@@ -112,32 +103,29 @@ def eipo(env, env_prime, cfg, state=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = state or init_state(env, env_prime, cfg)  # train.py passes one, with its own key
+    state = state or init_state(env, env_prime, cfg)
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
-    start, start_prime = state.start, state.start_prime
     for iteration in range(state.iteration + 1, cfg.iterations + 1):  # Alg.1 L5
         key, key_prime, key_update, key_update_prime = iteration_keys(state.key, iteration)
-        tau, start, log = rollout(env, pi.params, start, key, cfg)  # Alg.1 L6
-        tau_prime, start_prime, log_prime = rollout(  # Alg.1 L7
-            env_prime, pi_prime.params, start_prime, key_prime, cfg
-        )
+        tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
+        tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi.params, tau, cfg)
+        est = estimate(pi, tau, cfg.lam, cfg.ppo)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
-        pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)  # Alg.1 L9
+        pi, losses = ppo_update(pi, tau, est, objective, key_update, cfg.ppo)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime.params, tau_prime, cfg)  # Alg.1 L10
-        objective_prime = est_prime.advantage[..., 0]
-        pi_prime, trained_prime = ppo_update(  # Alg.1 L11
-            pi_prime, tau_prime, est_prime, objective_prime, key_update_prime, cfg
+        est_prime = estimate(pi_prime, tau_prime, cfg.lam, cfg.ppo)
+        objective_prime = est_prime.advantage[..., 0]  # Alg.1 L10
+        pi_prime, losses_prime = ppo_update(  # Alg.1 L11
+            pi_prime, tau_prime, est_prime, objective_prime, key_update_prime, cfg.ppo
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        metrics = summary(est, dual, cfg) | dict(gap=gap) | log | trained
-        metrics |= {f"prime_{name}": x for name, x in (log_prime | trained_prime).items()}
+        metrics = summary(est, dual, cfg) | dict(gap=gap) | log | losses
+        metrics |= {f"prime_{name}": x for name, x in (log_prime | losses_prime).items()}
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
-        yield State(iteration, state.key, pi, pi_prime, dual, start, start_prime), metrics
+        yield State(iteration, state.key, pi, pi_prime, dual), metrics
     # Alg.1 L14  end for
 
 
@@ -146,15 +134,14 @@ def ppo(env, cfg, state=None):
     state = state or init_state(env, None, cfg)
     pi = state.pi
     dual = state.dual
-    start = state.start
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
-        tau, start, log = rollout(env, pi.params, start, key, cfg)
-        est = estimate(pi.params, tau, cfg)
+        tau, log = rollout(env, pi, key, cfg)
+        est = estimate(pi, tau, cfg.lam, cfg.ppo)
         objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
-        pi, trained = ppo_update(pi, tau, est, objective, key_update, cfg)
-        metrics = summary(est, dual, cfg) | log | trained
-        yield State(iteration, state.key, pi, None, dual, start, None), metrics
+        pi, losses = ppo_update(pi, tau, est, objective, key_update, cfg.ppo)
+        metrics = summary(est, dual, cfg) | log | losses
+        yield State(iteration, state.key, pi, None, dual), metrics
 
 
 def iteration_keys(key, iteration):
@@ -181,85 +168,63 @@ def init_state(env, env_prime, cfg):
 
     env_prime: None for PPO
     """
-    base = jax.random.PRNGKey(cfg.seed)
-
-    def begin(env, key, heads, seed):
-        obs, info = env.reset(seed)
-        sizes = env.obs_size, env.privileged_size, env.action_size
-        symmetry = getattr(env, "mirror", None)
-        mirror = Mirror(**symmetry) if cfg.mirror and symmetry else None
-        return init_learner(key, sizes, mirror, heads, cfg), (obs, info["privileged"])
-
-    key, key_prime = jax.random.split(jax.random.fold_in(base, 0))
-    pi, start = begin(env, key, 2, 2 * cfg.seed)
-    pi_prime, start_prime = None, None
+    rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
+    pi, pi_prime = init_learner(rng, env, 2, cfg.mirror, cfg.ppo), None
+    env.reset(2 * cfg.seed)
     if env_prime is not None:
-        pi_prime, start_prime = begin(env_prime, key_prime, 1, 2 * cfg.seed + 1)
+        pi_prime = init_learner(rng_prime, env_prime, 1, cfg.mirror, cfg.ppo)
+        env_prime.reset(2 * cfg.seed + 1)
     alpha = cfg.alpha0
     if alpha is None:
         alpha = 1 / cfg.lam if cfg.lam else np.inf
-    return State(0, base, pi, pi_prime, Dual(alpha, 0.0), start, start_prime)
+    return State(0, jax.random.PRNGKey(cfg.seed), pi, pi_prime, Dual(alpha, 0.0))
 
 
 # ---- L6, L7: rollouts ----
 
 
 @jax.jit
-def act(params, obs, key, t):
-    """Random actions (N, A) for obs (N, D) in step t of the rollout that has this random key."""
-    return sample(params, obs, jax.random.fold_in(key, t))
+def act(pi, obs, key, t):
+    """Random actions (N, A) for obs (N, D) in step t of a rollout, and their log-probabilities."""
+    return sample(pi.params, obs, jax.random.fold_in(key, t), pi.bases)
 
 
-def rollout(env, params, start, key, cfg):
-    """Take T steps in env with the policy, from where env is.
+def rollout(env, pi, key, cfg):
+    """T steps of every robot from where it is: a Transition of (T, N, ...) arrays, and the log.
 
-    start: (obs, privileged) of the N environments now
-    Returns the Rollout, the next `start`, and the log: means of the environment's numbers, and how
-    often what is boolean was true.
+    log: means over steps and robots of r, f and the numbers that the environment logs
     """
-    heads = len(params["critic"][-1].bias)
     steps = []
-    finals = []
     logs = []
     for t in range(cfg.num_steps):
-        action = np.asarray(act(params, start[0], key, t))
-        obs, reward, terminated, truncated, info = env.step(action)
-        streams = cfg.reward_scale * np.stack([reward, cfg.lam * info["cost"]], -1)[:, :heads]
-        steps.append((*start, action, streams.astype(np.float32), terminated, truncated))
-        finals.append((info["final_obs"][truncated], info["final_privileged"][truncated]))
+        obs, privileged = env.observe()
+        action, log_prob = map(np.asarray, act(pi, obs, key, t))
+        _, reward, terminated, truncated, info = env.step(action)
+        result = reward, info["cost"], terminated, truncated
+        after = info["final_obs"], info["final_privileged"]
+        steps.append(Transition(obs, privileged, action, log_prob, *result, *after))
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
-        start = obs, info["privileged"]
-    final = [np.concatenate(column) for column in zip(*finals, strict=True)]
-    padding = -len(final[0]) % len(obs)  # to multiples of N, as JAX compiles anew for each shape
-    final = tuple(np.pad(x, [(0, padding), (0, 0)]) for x in final)
-    tau = Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), start, final)
-    log = {}
-    columns = {name: np.stack([step[name] for step in logs]) for name in logs[0]}
-    for name, column in columns.items():
-        log[name] = int(column.sum()) if column.dtype == bool else float(column.mean())
-    return tau, start, log
+    tau = Transition(*map(np.stack, zip(*steps, strict=True)))
+    return tau, {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
 
 
 # ---- L8, L10, L12: estimates ----
 
 
 @partial(jax.jit, static_argnames="cfg")
-def estimate(params, tau, cfg):
-    """The Estimate of a rollout, in which the streams stay apart.
+def estimate(pi, tau, lam, cfg):
+    """The Estimate of a rollout, in which the streams r and lam f stay apart.
 
-    GAE is linear, so that their advantages can be mixed later (L8).
+    GAE is linear, so that their advantages can be mixed later (L8). cfg: PPOConfig
     """
-    values = value(params, tau.obs, tau.privileged)
-    next_values = jnp.concatenate([values[1:], value(params, *tau.after)[None]])
-    terminated, truncated = tau.terminated[..., None], tau.truncated[..., None]
-    if len(tau.final[0]):  # where time was up, more would have followed
-        k = jnp.cumsum(tau.truncated).reshape(tau.truncated.shape) - 1
-        next_values = jnp.where(truncated, value(params, *tau.final)[k], next_values)  # the k-th
+    values = value(pi.params, tau.obs, tau.privileged, pi.bases)
+    next_values = value(pi.params, tau.next_obs, tau.next_privileged, pi.bases)
+    streams = jnp.stack([tau.reward, lam * tau.cost], -1)[..., : values.shape[-1]]
+    ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(
-        tau.reward, values, next_values, terminated, truncated, cfg.gamma, cfg.gae_lambda
+        cfg.reward_scale * streams, values, next_values, *ends, cfg.gamma, cfg.gae_lambda
     )
-    mean, std, _ = policy(params, tau.obs)
-    return Estimate(advantage, advantage + values, log_prob(mean, std, tau.action))
+    return Estimate(advantage, advantage + values)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
@@ -298,7 +263,7 @@ def estimate_J(est):
 
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
-    return global_mean(est.target[..., 0])
+    return est.target[..., 0].mean()
 
 
 # ---- L13: the multiplier ----

@@ -55,7 +55,7 @@ class Episodes(NamedTuple):
 @jax.jit
 def mean_action(params, obs):
     """The action (N, 12) [-] for obs (N, D), without exploration noise; params: networks.policy."""
-    return networks.policy(params, obs)[0]
+    return networks.policy(params, obs, policy_file.PLAIN)[0]
 
 
 def deterministic(params):
@@ -68,7 +68,7 @@ def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
     return replace(
         env_cfg,
         reward="paper",
-        frame="heading",
+        velocity_frame="heading",
         stagger=False,
         episode_steps=EPISODE_STEPS,
         command_steps=EPISODE_STEPS,
@@ -151,7 +151,7 @@ def run_episodes(policy, env, command=None):
 
 def commands_of(task):
     """The commands (n, 3) of an evaluation: those of Figs. 2 to 4, or none where none has a v_x."""
-    return COMMANDS if tasks.asks_speed(task) else np.zeros((1, 3))
+    return COMMANDS if tasks.TASKS[task].commands().high[0] > 0 else np.zeros((1, 3))
 
 
 def finite_mean(x):

@@ -1,4 +1,4 @@
-"""The robot: its model `go1.xml` as MuJoCo gets it, nominal pose, kinematics of the legs, motors.
+"""The robot: its model `go1.xml` as MuJoCo gets it, nominal pose, kinematics, motors.
 
 Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the
 joints of each as hip, thigh, calf, so arrays over the joints are (..., 12). The numbers are those
@@ -8,59 +8,47 @@ was applied.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import terrain
 
 MODEL = Path(__file__).with_name("go1.xml")
 LEGS = ("FR", "FL", "RR", "RL")
-# which of go1.xml's 17 contact sensors are of trunk, hips and thighs, and of all but the feet
-NO_LEGS, NO_FEET = slice(9), slice(13)
-# rad, action 0 [lab code]
+# which of go1.xml's 17 contact sensors, of trunk, hips and thighs (9), calves (4) and feet (4)
+TRUNK_TO_THIGHS, ALL_BUT_FEET, FEET = slice(9), slice(13), slice(13, 17)
+THIGHS_AND_CALVES = [2, 4, 6, 8, 9, 10, 11, 12]
+# rad, the joint angles of action 0, in which the robot stands [lab code]
 Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
-# m: thigh and calf length, hip to thigh, sole [URDF]
-LINK, HIP_OFFSET, FOOT_RADIUS = 0.213, 0.08, 0.02
+LINK = 0.213  # m, length of the thigh and of the calf [URDF]
+HIP_OFFSET = 0.08  # m, from the hip joint sideways to the thigh [URDF]
+FOOT_RADIUS = 0.02  # m [URDF]
 # entry i of the mirrored robot's joint angles is MIRROR_SIGN[i] q[MIRROR[i]]: right and left legs
 # swap, hip angles change their sign
 MIRROR = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8])
 MIRROR_SIGN = np.tile([-1, 1, 1], 4)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
-# m [URDF]
+# m, where the hip joints are in the trunk's frame [URDF]
 HIP = np.array(
     [[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]]
 )
-KP, KD = 20.0, 0.5  # N m / rad and N m s / rad, the gains of Section IV-C
+KP = 20.0  # N m / rad, Section IV-C
+KD = 0.5  # N m s / rad, Section IV-C
 TORQUE_LIMIT = np.tile([23.7, 23.7, 35.55], 4)  # N m, "effort" in the Go1's URDF
 # rad/s, "velocity" in the Go1's URDF, qd_max of Section V-D
 VELOCITY_LIMIT = np.tile([30.1, 30.1, 20.06], 4)
 STALL_TORQUE = 33.0  # N m, Section V-D
 
 
-def leg_points(q):
-    """The centres (..., 8, 3) [m] of each leg's knee and foot, where it may touch the ground first.
-
-    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of
-        FOOT_RADIUS.
-    """
-    hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
-    # from the hip, in its frame: of the knee, then of the foot
-    forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)
-    up = -LINK * np.stack([np.cos(thigh), np.cos(thigh) + np.cos(thigh + calf)], -1)
-    left = HIP_OFFSET * SIDE[:, None]
-    sin, cos = np.sin(hip)[..., None], np.cos(hip)[..., None]
-    points = np.stack([forward, left * cos - up * sin, left * sin + up * cos], -1) + HIP[:, None]
-    return points.reshape(*q.shape[:-1], 8, 3)
-
-
-def build_model(timestep, ground, robot=None):
+def build_model(timestep, ground):
     """The MuJoCo model of the robot in go1.xml on a ground; timestep: [s] of the physics.
 
     ground: heights (ny, nx) [m] as terrain.make_ground returns them, or None for a plane
-    robot:  another MjSpec in the place of go1.xml, as lab/adopt.py and lab/robust.py have
     """
-    spec = mujoco.MjSpec.from_file(str(MODEL)) if robot is None else robot.copy()
+    spec = mujoco.MjSpec.from_file(str(MODEL))
     spec.option.timestep = timestep
     if ground is not None:
         low, high = ground.min(), ground.max()
@@ -82,6 +70,59 @@ def build_model(timestep, ground, robot=None):
         floor.hfieldname = "ground"
         floor.pos = [*half, low]
     return spec.compile()
+
+
+# ---- kinematics ----
+
+
+class Motion(NamedTuple):
+    """How N trunks lie and move, computed once in a control step."""
+
+    to_world: np.ndarray  # (N, 3, 3) rotation from the trunk's frame to the world's
+    body: np.ndarray  # (N, 3) [m/s] linear velocity in the trunk's frame
+    heading: np.ndarray  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], level, turned with the robot
+    rates: np.ndarray  # (N, 3) [rad/s] angular velocity in the trunk's frame
+
+
+def motion(qpos, qvel):
+    """The Motion of robots with qpos (N, 19) and qvel (N, 18), as MuJoCo has them."""
+    to_world = Rotation.from_quat(qpos[:, 3:7], scalar_first=True).as_matrix()
+    rates = qvel[:, 3:6].copy()
+    body = np.einsum("nij,ni->nj", to_world, qvel[:, :3])
+    yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
+    sin, cos = np.sin(yaw), np.cos(yaw)
+    x, y = qvel[:, :2].T
+    yaw_rate = (to_world[:, 2] * rates).sum(1)
+    heading = np.column_stack([cos * x + sin * y, cos * y - sin * x, yaw_rate])
+    return Motion(to_world, body.astype(np.float32), heading, rates)
+
+
+def felt_gravity(to_world, gravity):
+    """Unit vectors (N, 3) along gravity (N, 3) in the frames of trunks with to_world (N, 3, 3)."""
+    down = gravity / np.linalg.norm(gravity, axis=-1, keepdims=True)
+    return np.einsum("nij,ni->nj", to_world, down)
+
+
+def attitude(to_world):
+    """Pitch and roll (2, N) [degrees], positive with the nose up, the right side down."""
+    x, y, z = to_world[:, 2].T  # the vertical in the trunk's frame
+    return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
+
+
+def leg_points(q):
+    """The centres (..., 8, 3) [m] of each leg's knee and foot, where it may touch the ground first.
+
+    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of
+        FOOT_RADIUS.
+    """
+    hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
+    # from the hip, in its frame: of the knee, then of the foot
+    forward = -LINK * np.stack([np.sin(thigh), np.sin(thigh) + np.sin(thigh + calf)], -1)
+    up = -LINK * np.stack([np.cos(thigh), np.cos(thigh) + np.cos(thigh + calf)], -1)
+    left = HIP_OFFSET * SIDE[:, None]
+    sin, cos = np.sin(hip)[..., None], np.cos(hip)[..., None]
+    points = np.stack([forward, left * cos - up * sin, left * sin + up * cos], -1) + HIP[:, None]
+    return points.reshape(*q.shape[:-1], 8, 3)
 
 
 # ---- the motors: from a joint target to a joint torque ----

@@ -7,36 +7,22 @@ without the dependency:
 same-step autoreset: where an episode ended, `obs` is the first observation of the next one and
 `info["final_obs"]` the last of the old.
 
-The policy sees the last H frames, oldest first (D16). Right after a reset all of them are the first
-one. A frame holds only what the robot can measure, in this order:
-
-| entry               | width | unit       | scale      | noise +- (before scale)             |
-|---------------------|-------|------------|------------|-------------------------------------|
-| gravity, body frame | 3     | -          | 1          | 0.05                                |
-| command             | 3     | m/s, rad/s | 2, 2, 0.25 | 0                                   |
-| q - q_nominal       | 12    | rad        | 1          | 0.01                                |
-| qd                  | 12    | rad/s      | 0.05       | 1.5                                 |
-| previous action     | 12    | -          | 1          | 0                                   |
-| timing reference    | 2     | -          | 1          | 0: sin and cos of one clock of 3 Hz |
-
-Joints are FR, FL, RR, RL x hip, thigh, calf. Noise is uniform. Scales and noise are the lab's.
-What differs between the tasks of Section IV-A is in `tasks.py`. This file knows nothing of
-learning.
+Joints are FR, FL, RR, RL x hip, thigh, calf. What differs between the tasks of Section IV-A is in
+`tasks.py`. This file knows nothing of learning.
 """
 
 import os
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
-import curriculum
 import energy
 import go1
 import rewards
-import shaped
 import tasks
 import terrain
 
@@ -44,29 +30,45 @@ import terrain
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
-FRAME = dict(gravity=3, command=3, q=12, qd=12, previous_action=12, timing=2)
-FRAME_WIDTH = sum(FRAME.values())
-FRAME_SCALE = np.repeat([1, 2, 2, 0.25, 1, 0.05, 1, 1], [3, 1, 1, 1, 12, 12, 12, 2])
-# the frame of the mirrored robot, as in go1.py; its clock is half a period later, as in a trot
-FRAME_MIRROR = np.concatenate(
-    [np.arange(6), 6 + go1.MIRROR, 18 + go1.MIRROR, 30 + go1.MIRROR, [42, 43]]
+
+
+class Entry(NamedTuple):
+    """A part of the observation that is made of n numbers."""
+
+    mirror: tuple  # (index, sign): entry i of the mirrored robot is sign[i] x[index[i]] (D28)
+    scale: float | list = 1.0  # factor with which the policy sees it [lab code]
+    noise: float = 0.0  # uniform noise within +- this is added, before the scale [lab code]
+
+
+# The observation, Section IV-C.a: the last H frames, oldest first, and right after a reset H times
+# the first one (D16). A frame is all that a robot can measure and has been told. The mirrored
+# robot's clock is half a period later, as in a trot.
+JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
+FRAME = dict(
+    gravity=Entry(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
+    command=Entry(([0, 1, 2], [1, -1, -1]), scale=[2, 2, 0.25]),  # v_x, v_y [m/s], yaw rate [rad/s]
+    q=Entry(JOINTS, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
+    qd=Entry(JOINTS, scale=0.05, noise=1.5),  # rad/s
+    previous_action=Entry(JOINTS),
+    timing=Entry(([0, 1], [-1, -1])),  # sin and cos of the timing reference
 )
-FRAME_SIGN = np.concatenate([[1, -1, 1], [1, -1, -1], np.tile(go1.MIRROR_SIGN, 3), [-1, -1]])
-FRAME_NOISE = np.repeat([0.05, 0, 0.01, 1.5, 0], [3, 3, 12, 12, 14])
+WIDTHS = [len(entry.mirror[0]) for entry in FRAME.values()]
+FRAME_WIDTH = sum(WIDTHS)
+FRAME_SCALE = np.concatenate([np.ones(len(e.mirror[0])) * e.scale for e in FRAME.values()])
+FRAME_NOISE = np.repeat([entry.noise for entry in FRAME.values()], WIDTHS)
+FRAME_MIRROR = (
+    np.concatenate([entry.mirror[0] for entry in FRAME.values()])
+    + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS),
+    np.concatenate([entry.mirror[1] for entry in FRAME.values()]),
+)
 
 
-def mirror(history):
-    """The mirror as {"obs", "privileged", "action"}, each a pair (index, sign) of tuples.
+class Physics(NamedTuple):
+    """What happened in the S physics steps of a control step."""
 
-    Entry i of the mirrored robot's array is sign[i] x[index[i]].
-    """
-    index = [FRAME_WIDTH * frame + i for frame in range(history) for i in FRAME_MIRROR]
-    spaces = dict(
-        obs=(index, history * FRAME_SIGN.tolist()),
-        privileged=([0, 1, 2], [1, -1, 1]),
-        action=(go1.MIRROR, go1.MIRROR_SIGN),
-    )
-    return {name: tuple(tuple(map(int, x)) for x in pair) for name, pair in spaces.items()}
+    torque: np.ndarray  # (S, N, 12) [N m] that was applied in each
+    speed: np.ndarray  # (S + 1, N, 12) [rad/s] of the joints, before the first and after each
+    touched: np.ndarray  # (N, 17) bool, which sensors of go1.xml touched the ground in any
 
 
 class Go1Env:
@@ -75,30 +77,27 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
-    stream:   which of the independent streams of random numbers a seed stands for, from 0;
-              processes have one each
-    command_weights: (22, 40) of curriculum.py, changed in place, if this environment shares its
-              commands with another
+    commands: an object that draws commands, see tasks.py, which environments may share; None makes
+              the task's own
     """
 
     action_size = 12
     # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
     privileged_size = 3
+    frame_size = FRAME_WIDTH  # an observation is a row of such frames
 
-    def __init__(
-        self, num_envs, env_cfg=tasks.Config(), threads=None, stream=0, command_weights=None
-    ):
-        self.stream = (stream,) if stream else ()
+    def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, commands=None):
         self.num_envs = num_envs
         self.env_cfg = env_cfg
         self.rules = tasks.TASKS[env_cfg.task]
+        self.task_commands = self.commands = commands or self.rules.commands()
         self.obs_size = env_cfg.history * FRAME_WIDTH
-        self.mirror = mirror(env_cfg.history)
+        # entry i of the mirrored robot is sign[i] x[index[i]] (D28)
+        self.mirror = dict(frame=FRAME_MIRROR, privileged=([0, 1, 2], [1, -1, 1]), action=JOINTS)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
-        # MuJoCo would write MUJOCO_LOG.TXT into the user's folder; we count its warnings instead
-        # (see step)
+        # MuJoCo would write MUJOCO_LOG.TXT into the user's folder. `step` counts warnings instead.
         mujoco.set_mju_user_warning(lambda message: None)
-        # from the greatest, which a single tile gets
+        # from the greatest down, so that a single tile is the roughest
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]
         self.ground = None
         if levels.any():
@@ -107,37 +106,71 @@ class Go1Env:
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
-        self.batch = batch = Batch(model, num_envs, threads or CORES)
-        self.qpos = batch.bind("qpos")
-        self.qvel = batch.bind("qvel")
-        self.ctrl = batch.bind("ctrl")
-        # (N, 17): ground with trunk, hips, thighs (9); calves (4); feet (4)
-        self.contacts = batch.bind("sensordata")
-        if command_weights is None:
-            command_weights = curriculum.initial_weights()
-        self.state = self._blank_state(command_weights)
+        self.batch = Batch(model, num_envs, threads or CORES)
+        self.qpos = self.batch.bind("qpos")
+        self.qvel = self.batch.bind("qvel")
+        self.ctrl = self.batch.bind("ctrl")
+        # (N, 17) of ground with trunk, hips and thighs (9), calves (4) and feet (4)
+        self.contacts = self.batch.bind("sensordata")
+        self.state = self._blank_state()
         self.rng = np.random.default_rng(0)
 
     def build_model(self, ground):
         """The robot's model on heights (ny, nx) [m] or, if None, on a plane."""
         return go1.build_model(self.env_cfg.timestep, ground)
 
+    def _blank_state(self):
+        """All that the next step depends on, but for the rng: arrays that change only in place."""
+        n = self.num_envs
+        batch = self.batch
+        state = SimpleNamespace(
+            sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
+            friction=batch.expand("geom_friction"),  # (N, geoms, 3) [-]
+            mass=batch.expand("body_mass"),  # (N, bodies) [kg]
+            com=batch.expand("body_ipos"),  # (N, bodies, 3) [m]
+            gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
+            strength=np.ones((n, 1)),  # factor on the motors' torques
+            offset=np.zeros((n, 12)),  # rad, errors of the motors' encoders
+            # rad, targets on their way to the motors, oldest first
+            targets=np.zeros((self.env_cfg.latency + 1, n, 12)),
+            action=np.zeros((n, 12)),  # the previous one, clipped
+            # the observation, oldest frame first
+            frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),
+            velocity=np.zeros((n, 3), np.float32),  # m/s, the privileged part: of the trunk
+            age=np.zeros(n, np.int64),  # control steps since the episode began
+            tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
+            off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it
+            command=np.zeros((n, 3)),  # m/s, m/s, rad/s
+            kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
+        )
+        if isinstance(self.commands, tasks.Grid):
+            state.command_weights = self.commands.weights
+        return state
+
     def reset(self, seed, command=None):
         """Start a new episode for every robot. Returns obs as `step` does, and info["privileged"].
 
-        seed: int
+        seed: what np.random.default_rng takes
         command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes;
             None: commands are drawn
         """
-        self.state.given[:] = np.nan if command is None else command
-        self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=self.stream))
-        self.state.command_weights[:] = curriculum.initial_weights()
-        self.state.tracked[:] = 0.0
-        self._reset(np.arange(self.num_envs))
+        self.rng = np.random.default_rng(seed)
+        self.commands = self.task_commands
+        if command is not None:
+            self.commands = tasks.Given(np.broadcast_to(command, (self.num_envs, 3)).copy())
+        elif isinstance(self.commands, tasks.Grid):
+            self.commands.weights[:] = self.commands.initial_weights()
+        self.state.kernels[:] = 0.0
+        self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
-            self.state.frames[:] = self._frame()[:, None]
-        return self._obs(), {"privileged": self.body_velocity()}
+            self._observe_first(np.arange(self.num_envs))
+        obs, privileged = self.observe()
+        return obs, dict(privileged=privileged)
+
+    def observe(self):
+        """What the robots see, (N, obs_size) float32, and the privileged part, (N, 3) [m/s]."""
+        return self.state.frames.reshape(self.num_envs, -1).copy(), self.state.velocity.copy()
 
     def step(self, action):
         """One control step of 20 ms for every robot.
@@ -145,207 +178,170 @@ class Go1Env:
         action:  (N, 12) [-]; joint targets are q_nominal + ACTION_SCALE * action
         returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
                  cost        (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps
-                 privileged  (N, 3) [m/s] body velocity
-                 final_obs, final_privileged  the same of every robot, before any starts anew
-                 log         {name: (N,)}: floats to be averaged, booleans to be counted
+                 final_obs, final_privileged  as `observe` shows them before any robot starts anew
+                 log         {name: (N,)}, numbers whose means tell how training goes
         """
-        state = self.state
-        before = state.action.copy(), self.qvel[:, 6:].copy()
-        state.action[:] = np.clip(action, -self.env_cfg.action_limit, self.env_cfg.action_limit)
-        power, cost, fell = self._physics(go1.Q_NOMINAL + ACTION_SCALE * state.action)
+        state, env_cfg = self.state, self.env_cfg
+        action_before = state.action.copy()
+        state.action[:] = np.clip(action, -env_cfg.action_limit, env_cfg.action_limit)
+        physics = self._physics(go1.Q_NOMINAL + ACTION_SCALE * state.action)
         state.age += 1
-        linear = self.body_velocity()
-        over_ground = self.tracked_velocity("heading")
-        # MuJoCo resets a simulation that is not finite, and counts a warning. Any warning ends it
+        motion = go1.motion(self.qpos, self.qvel)
+        # MuJoCo resets a simulation that is not finite and counts a warning. Any warning ends the
+        # episode, in which nothing is paid for this step (D44).
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
-        reward, log = self._reward(over_ground, *before)
+        task_reward, reward = self._reward(motion, physics, action_before)
+        power, cost = self._power_and_cost(physics)
         reward, cost = np.where(diverged, 0.0, [reward, cost])
         power = np.where(diverged, energy.SURVIVAL, power)
-        overload = power > (self.env_cfg.max_power or np.inf)
+        fell = physics.touched[:, self._forbidden()].any(-1) & ~diverged
+        overload = (power > (env_cfg.max_power or np.inf)) & ~fell & ~diverged
         terminated = diverged | fell | overload
-        truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
+        truncated = ~terminated & (state.age >= env_cfg.episode_steps)
+        pitch, roll = go1.attitude(motion.to_world)
+        log = dict(pitch=pitch, roll=roll, v_x=motion.heading[:, 0], power=power)
+        log |= dict(command_x=state.command[:, 0].copy(), ended_fall=fell, ended_diverged=diverged)
+        log |= dict(ended_limit=truncated, ended_power=overload)
+        if env_cfg.reward == "shaped":
+            log |= dict(task_reward=np.where(diverged, 0.0, task_reward))
+        if isinstance(self.commands, tasks.Grid):
+            log |= dict(command_area=np.full(self.num_envs, self.commands.weights.mean()))
         if self.ground is not None:  # a robot that left its tile comes back on the other side
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
-        log = self._motion(over_ground, power) | log
-        log |= dict(ended_fall=fell & ~diverged, ended_diverged=diverged, ended_limit=truncated)
-        if self.rules.curriculum or self.env_cfg.max_power:
-            log |= dict(ended_power=overload & ~fell & ~diverged)
-        self._draw_commands(np.flatnonzero(state.age % self.env_cfg.command_steps == 0))
+        self._next_command(np.flatnonzero(state.age % env_cfg.command_steps == 0))
         state.frames[:, :-1] = state.frames[:, 1:]
-        state.frames[:, -1] = self._frame()
-        info = dict(cost=cost, log=log, final_obs=self._obs(), final_privileged=linear)
+        state.frames[:, -1] = self._frame(motion)
+        state.velocity[:] = motion.body
+        final_obs, final_privileged = self.observe()
+        info = dict(cost=cost, log=log, final_obs=final_obs, final_privileged=final_privileged)
         if (ended := np.flatnonzero(terminated | truncated)).size:
-            self._reset(ended)
-            linear = self.body_velocity()
-        return self._obs(), reward, terminated, truncated, info | {"privileged": linear}
+            self._start(ended)
+        return self.observe()[0], reward, terminated, truncated, info
 
-    def _motion(self, over_ground, power):
-        """Attitude [degrees], speed ahead, the command for it [m/s], and power [W], for the log."""
-        pitch, roll = self.attitude()
-        asked = self.state.command[:, 0].copy()
-        return dict(pitch=pitch, roll=roll, v_x=over_ground[:, 0], command_x=asked, power=power)
-
-    def _blank_state(self, command_weights):
-        """All that the next step depends on, but for the rng: arrays that change only in place."""
-        n = self.num_envs
-        batch = self.batch
-        return SimpleNamespace(
-            sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
-            # (N, geoms, 3) [-], in the simulations, as the next three
-            friction=batch.expand("geom_friction"),
-            mass=batch.expand("body_mass"),  # (N, bodies) [kg]
-            com=batch.expand("body_ipos"),  # (N, bodies, 3) [m]
-            gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
-            strength=np.ones((n, 1)),  # of the motors
-            offset=np.zeros((n, 12)),  # rad, of the motors' encoders
-            # rad, on their way to the motors, oldest first
-            targets=np.zeros((self.env_cfg.latency + 1, n, 12)),
-            action=np.zeros((n, 12)),  # the previous one, clipped
-            # the observation, oldest first
-            frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),
-            age=np.zeros(n, np.int64),  # control steps since the episode began
-            tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
-            # control steps since each foot touched it, see shaped.py
-            off_ground=np.ones((n, 4), np.int64),
-            command=np.zeros((n, 3)),  # m/s, m/s, rad/s
-            # the command that reset was told to keep; NaN: commands are drawn
-            given=np.full((n, 3), np.nan),
-            # of the curriculum's commands, perhaps shared with another environment
-            command_weights=command_weights,
-            cell=np.zeros((n, 2), np.int64),  # of the curriculum, where the command is from
-            tracked=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
-        )
+    # ---- one control step ----
 
     def _physics(self, target):
-        """A control step with joint targets (N, 12) [rad]: its power [W], its cost, and who fell.
+        """Simulate a control step with joint targets (N, 12) [rad]. Returns Physics.
 
-        To fall is to touch the ground, however lightly, with trunk, hip or thigh, on some tasks
-        with anything but a foot. Contacts are those with which a physics step begins: after the
-        last one none is seen.
+        Contacts are those with which a physics step begins: after the last one none is seen.
         """
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
-        limited = self.rules.torque_speed or self.env_cfg.motor_model
-        forbidden = go1.NO_FEET if self.rules.only_feet else go1.NO_LEGS
+        torque_speed = self.rules.torque_speed or self.env_cfg.motor_model
         state = self.state
         torques = []
         speeds = [self.qvel[:, 6:].copy()]
-        fell = np.zeros(self.num_envs, bool)
+        touched = np.zeros(self.contacts.shape, bool)
         for _ in range(self.env_cfg.physics_steps):
             state.targets[:-1] = state.targets[1:]
             state.targets[-1] = target
-            q = self.qpos[:, 7:]
             qd = speeds[-1]
-            torque = state.strength * motor(state.targets[0], q + state.offset, qd)
-            self.ctrl[:] = go1.limit_torque(torque, qd, limited)
+            torque = motor(state.targets[0], self.qpos[:, 7:] + state.offset, qd)
+            self.ctrl[:] = go1.limit_torque(state.strength * torque, qd, torque_speed)
             torques.append(self.ctrl.copy())
             self.batch.step()  # a joint may exceed the speed that the URDF gives for it
-            fell |= (self.contacts[:, forbidden] > 0).any(-1)
+            touched |= self.contacts > 0
             speeds.append(self.qvel[:, 6:].copy())
-        torques, speeds = np.array(torques), np.array(speeds)
-        # a torque changes the speed during a physics step: take the mean of before and after
-        speed = (speeds[:-1] + speeds[1:]) / 2
-        power = energy.total_power(torques, speed, self.env_cfg.clip).mean(0)
-        cost = energy.energy_cost(torques, speed, self.env_cfg.clip).mean(0)
+        return Physics(np.array(torques), np.array(speeds), touched)
+
+    def _forbidden(self):
+        """The contact sensors that end an episode, however lightly they touch the ground."""
+        return go1.ALL_BUT_FEET if self.rules.only_feet else go1.TRUNK_TO_THIGHS
+
+    def _power_and_cost(self, physics):
+        """Power (N,) [W] and auxiliary cost f (N,) of Physics, means over its steps."""
+        # a torque changes the speed during a physics step, so take the mean of before and after
+        # (D17)
+        speed = (physics.speed[:-1] + physics.speed[1:]) / 2
+        power = energy.total_power(physics.torque, speed, self.env_cfg.clip).mean(0)
         if self.env_cfg.aux == "smooth":
-            qdd = (speeds[-1] - speeds[0]) / self.period
-            cost = energy.smoothness_cost(torques, state.action, qdd).mean(0)
-        return power, cost, fell
+            qdd = self._acceleration(physics)
+            return power, energy.smoothness_cost(physics.torque, self.state.action, qdd).mean(0)
+        return power, energy.energy_cost(physics.torque, speed, self.env_cfg.clip).mean(0)
 
-    def _reward(self, over_ground, action_before, qd_before):
-        """The reward (N,) of a step, and its part of the log.
+    def _acceleration(self, physics):
+        """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""
+        return (physics.speed[-1] - physics.speed[0]) / self.period
 
-        *_before: action and qd [rad/s], (N, 12), of a control step ago
-        """
-        in_body = self.env_cfg.frame == "body"
-        velocity = self.tracked_velocity("body") if in_body else over_ground
-        reward = self.rules.reward(velocity, self.state.command)
-        log = {}
-        if self.rules.curriculum:
-            self.state.tracked += np.column_stack(rewards.kernels(velocity, self.state.command))
-            log |= dict(command_area=np.full(self.num_envs, self.state.command_weights.mean()))
-        if self.env_cfg.reward == "shaped":
-            log |= dict(task_reward=reward)
-            reward = shaped.reward(shaped.observe(self, velocity, action_before, qd_before))
-        return reward, log
-
-    def felt_gravity(self, ids=slice(None)):
-        """Unit vectors (n, 3) along gravity in the trunk's frame, added gravity included."""
-        gravity = self.state.gravity[ids]
-        down = gravity / np.linalg.norm(gravity, axis=-1, keepdims=True)
-        return self._to_world(ids).apply(down, inverse=True)
-
-    def attitude(self):
-        """Pitch and roll (2, N) [degrees], positive with the nose up, the right side down."""
-        x, y, z = self._to_world().as_matrix()[:, 2].T  # the vertical in the trunk's frame
-        return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
-
-    def body_velocity(self):
-        """True linear velocity of the trunk in its own frame, (N, 3) [m/s]."""
-        return self._to_world().apply(self.qvel[:, :3], inverse=True).astype(np.float32)
-
-    def tracked_velocity(self, frame):
-        """v_x, v_y [m/s] and yaw rate [rad/s], (N, 3).
-
-        frame: "body" is the trunk's; "heading" is level, and turned with the robot
-        """
-        if frame == "body":
-            return np.column_stack([self.body_velocity()[:, :2], self.qvel[:, 5]])
-        to_world = self._to_world().as_matrix()
-        yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
-        x, y = self.qvel[:, :2].T
-        sin = np.sin(yaw)
-        cos = np.cos(yaw)
-        yaw_rate = (to_world[:, 2] * self.qvel[:, 3:6]).sum(1)
-        return np.column_stack([cos * x + sin * y, cos * y - sin * x, yaw_rate])
-
-    def _to_world(self, ids=slice(None)):
-        """Rotations from the trunk's frame to the world's, for the robots `ids`."""
-        return Rotation.from_quat(self.qpos[ids, 3:7], scalar_first=True)
-
-    def _frame(self, ids=slice(None)):
-        """One frame of the observation (n, FRAME_WIDTH): the table at the top of this file."""
-        phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * self.state.age[ids]
-        frame = np.column_stack(
-            [
-                self.felt_gravity(ids),
-                self.state.command[ids],
-                self.qpos[ids, 7:] - go1.Q_NOMINAL,
-                self.qvel[ids, 6:],
-                self.state.action[ids],
-                np.sin(phase),
-                np.cos(phase),
-            ]
+    def _reward(self, motion, physics, action_before):
+        """The reward of the task and the one to learn from, (N,) each: the same unless shaped."""
+        state = self.state
+        velocity = motion.heading
+        if self.env_cfg.velocity_frame == "body":
+            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
+        state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
+        touch = self.contacts[:, go1.FEET] > 0
+        landed = rewards.landings(state.off_ground, touch, self.period)
+        state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
+        task_reward = self.rules.reward(velocity, state.command)
+        if self.env_cfg.reward == "paper":
+            return task_reward, task_reward
+        ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
+        return task_reward, rewards.shaped(
+            velocity=velocity,
+            command=state.command,
+            v_z=motion.body[:, 2],
+            roll_pitch_rate=motion.rates[:, :2],
+            gravity=go1.felt_gravity(motion.to_world, state.gravity),
+            torque=physics.torque[-1],
+            qdd=self._acceleration(physics),
+            height=self.qpos[:, 2] - ground,
+            landed=landed,
+            collisions=(self.contacts[:, go1.THIGHS_AND_CALVES] > 0).sum(-1),
+            action_change=state.action - action_before,
+            q=self.qpos[:, 7:],
+            joint_range=self.joint_range,
         )
+
+    def _frame(self, motion, ids=slice(None)):
+        """A frame (n, FRAME_WIDTH) of the observation of the robots `ids`; motion: go1.Motion."""
+        state = self.state
+        phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * state.age[ids]
+        entries = dict(
+            gravity=go1.felt_gravity(motion.to_world, state.gravity[ids]),
+            command=state.command[ids],
+            q=self.qpos[ids, 7:] - go1.Q_NOMINAL,
+            qd=self.qvel[ids, 6:],
+            previous_action=state.action[ids],
+            timing=np.column_stack([np.sin(phase), np.cos(phase)]),
+        )
+        frame = np.hstack([entries[name] for name in FRAME])
         noise = self.env_cfg.noise * FRAME_NOISE * self.rng.uniform(-1.0, 1.0, frame.shape)
         return FRAME_SCALE * (frame + noise)
 
-    def _obs(self):
-        """The policy's observation (N, H * FRAME_WIDTH) float32: the frames, in a copy."""
-        return self.state.frames.reshape(self.num_envs, -1).copy()
-
-    def _draw_commands(self, ids):
-        """New commands for the robots `ids`. The curriculum learns how they followed the old."""
+    def _next_command(self, ids):
+        """New commands for the robots `ids`, and a record of how they followed the old ones."""
         state = self.state
-        if np.isfinite(state.given).all():
-            state.command[ids] = state.given[ids]
-        elif self.rules.curriculum:
-            success = curriculum.succeeded(*(state.tracked[ids] / self.env_cfg.command_steps).T)
-            weights = state.command_weights
-            weights[:] = curriculum.update(weights, state.cell[ids], success)
-            state.tracked[ids] = 0.0
-            state.command[ids], state.cell[ids] = curriculum.sample(weights, self.rng, len(ids))
-        else:
-            state.command[ids] = self.rng.uniform(0.0, self.rules.command_high, (len(ids), 3))
+        followed = state.kernels[ids] / self.env_cfg.command_steps
+        self.commands.record(state.command[ids], followed)
+        state.command[ids] = self.commands.draw(self.rng, ids)
+        state.kernels[ids] = 0.0
 
-    def _reset(self, ids):
+    # ---- new episodes ----
+
+    def _start(self, ids):
         """Begin new episodes for the robots `ids`."""
+        state = self.state
+        self._place(ids)
+        self._randomize(ids)
+        state.targets[:, ids] = go1.Q_NOMINAL
+        state.action[ids] = 0.0
+        state.age[ids] = 0
+        state.off_ground[ids] = 1
+        self._next_command(ids)
+        self._observe_first(ids)
+
+    def _observe_first(self, ids):
+        """Let the robots `ids` see the present frame H times."""
+        motion = go1.motion(self.qpos[ids], self.qvel[ids])
+        self.state.frames[ids] = self._frame(motion, ids)[:, None]
+        self.state.velocity[ids] = motion.body
+
+    def _place(self, ids):
+        """Put the robots `ids` on the ground, in random poses around the nominal one."""
         n = len(ids)
         uniform = self.rng.uniform
-        state = self.state
-        env_cfg = self.env_cfg
-        # of joint angles, relative, and of the trunk's velocity, m/s and rad/s
-        spread = env_cfg.start_spread
+        spread = self.env_cfg.start_spread  # of joint angles, relative; of velocities, m/s, rad/s
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         q = np.clip(go1.Q_NOMINAL * uniform(1 - spread, 1 + spread, (n, 12)), *self.joint_range)
         yaw = Rotation.from_rotvec(uniform(-np.pi, np.pi, n)[:, None] * [0.0, 0.0, 1.0])
@@ -353,13 +349,19 @@ class Go1Env:
         xy = np.zeros((n, 2))
         ground = 0.0
         if self.ground is not None:
-            state.tile[ids] = self.rng.integers(env_cfg.tiles, size=n)
-            xy = terrain.origin(state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
+            self.state.tile[ids] = self.rng.integers(self.env_cfg.tiles, size=n)
+            xy = terrain.origin(self.state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
-        # the lowest foot or knee touches
+        # at this height the lowest foot or knee touches the ground
         height = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)
         self.qpos[ids] = np.column_stack([xy, height, yaw.as_quat(scalar_first=True), q])
         self.qvel[ids, :6] = uniform(-spread, spread, (n, 6))
+
+    def _randomize(self, ids):
+        """Draw the physics of the robots `ids` (domain randomization)."""
+        n = len(ids)
+        uniform = self.rng.uniform
+        state, env_cfg = self.state, self.env_cfg
         state.friction[np.ix_(ids, self.feet, [0])] = uniform(*env_cfg.friction, (n, 1, 1))
         state.mass[ids, self.trunk.id] = self.trunk.mass + uniform(*env_cfg.payload, n)
         state.com[ids, self.trunk.id] = self.trunk.ipos + uniform(*env_cfg.com, (n, 3))
@@ -367,9 +369,3 @@ class Go1Env:
         state.gravity[ids] = GRAVITY + uniform(*env_cfg.gravity, (n, 3))
         state.strength[ids] = uniform(*env_cfg.motor_strength, (n, 1))
         state.offset[ids] = uniform(*env_cfg.motor_offset, (n, 12))
-        state.targets[:, ids] = go1.Q_NOMINAL
-        state.action[ids] = 0.0
-        state.age[ids] = 0
-        state.off_ground[ids] = 1
-        self._draw_commands(ids)
-        state.frames[ids] = self._frame(ids)[:, None]

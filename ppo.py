@@ -4,38 +4,62 @@ It knows nothing of EIPO. It takes one advantage for each sample, in which the s
 are mixed already. The widths D, P, A and K are those of `networks.py`.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
+from mirror import Bases, make_bases
 from networks import init_params, log_prob, policy, value
-from runtime.parallel import average, compiled
+from runtime.parallel import spread
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] so that the policy's noise neither vanishes nor explodes
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: least the lab's, greatest the paper's (D20)
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """What a learner is compiled with. A tag says where a value is from, as in `eipo.Config`."""
+
+    num_epochs: int = 5  # [IV-C] passes over a rollout
+    num_minibatches: int = 4  # [IV-C] minibatches per pass
+    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
+    target_kl: float = 0.03  # [ours] KL divergence of an update that lr aims at; 0: fixed (D20)
+    gamma: float = 0.99  # [lab code] discount, Eq. (1)
+    gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
+    clip_eps: float = 0.2  # [lab code] PPO's clip range
+    ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab: 0.01
+    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient
+    reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
+    log_std: float = 0.0  # [lab code] log of the noise's standard deviation at the start
+    hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
+    hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
 
 
 class Learner(NamedTuple):
     """A policy and what its training keeps."""
 
     params: dict  # of the networks, see `networks.py`
+    bases: Bases  # of the robot's mirror, which stay as they are
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
 
 
-@partial(jax.jit, static_argnames=("sizes", "mirror", "heads", "cfg"))
-def init_learner(key, sizes, mirror, heads, cfg):
-    """A new Learner, whose networks are random.
+def init_learner(rng, env, heads, is_mirrored, cfg):
+    """A new Learner for an environment, whose networks are random.
 
-    sizes:  widths (D, P, A) of an observation, of the privileged part and of an action
-    mirror: networks.Mirror, or None for plain MLPs
-    heads:  K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task)
+    rng:   np.random.Generator
+    heads: K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task)
+    is_mirrored: whether to tie weights by the mirror of the environment, if it has one
     """
-    params = init_params(key, sizes, mirror, heads, cfg)
-    return Learner(params, optimizer(cfg).init(params), jnp.float32(cfg.lr))
+    mirror = env.mirror if is_mirrored else None
+    bases = make_bases(mirror, env.frame_size, env.privileged_size, env.action_size)
+    params = init_params(rng, env.obs_size, heads, bases, cfg)
+    return Learner(params, bases, jax.jit(optimizer(cfg).init)(params), np.float32(cfg.lr))
 
 
 def optimizer(cfg):
@@ -43,74 +67,70 @@ def optimizer(cfg):
 
     Gradients are clipped network by network, and non-finite ones are skipped.
     """
-    networks = "actor", "critic", "estimator"
-    clip = {name: optax.clip_by_global_norm(cfg.max_grad_norm) for name in networks}
-
-    def labels(params):  # what is no network, the mirror, has nothing to learn
-        return params | {name: name for name in networks}
-
+    clip = {
+        name: optax.clip_by_global_norm(cfg.max_grad_norm)
+        for name in ("actor", "critic", "estimator")
+    }
+    labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, labels), adam)
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
 def ppo_update(learner, tau, est, advantage, key, cfg):
-    """All epochs and minibatches of one iteration (L9, L11); returns the new Learner and the log.
+    """All epochs and minibatches of one iteration (L9, L11): the new Learner, and its losses.
 
-    tau, est:  eipo.Rollout and eipo.Estimate. `ppo_epochs` gets only what it needs of them, because
-               `tau.final` has another shape in each iteration, and JAX would compile anew
-
+    tau, est:  eipo.Transition and eipo.Estimate of the rollout
     advantage: (T, N), mixed. It is normalised here, once
-    log:       means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
+    losses:    means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
-    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action)
-    data |= dict(target=est.target, log_prob=est.log_prob, advantage=advantage)
-    return ppo_epochs(learner, data, key, cfg)
+    data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
+    data |= dict(target=est.target, advantage=advantage)
+    minibatches = spread(shuffled(key, advantage.size, cfg))
+    return ppo_epochs(learner, data, minibatches, cfg)
 
 
-@compiled
-def ppo_epochs(learner, data, key, cfg):
-    """`ppo_update` of data, arrays (T, N, ...) by name. Each epoch shuffles the samples anew.
-
-    Gradients and logs are averaged over the processes.
-    """
-    advantage = data["advantage"] - global_mean(data["advantage"])
-    advantage = advantage / (jnp.sqrt(global_mean(jnp.square(advantage))) + 1e-8)
-    size = advantage.size
-    parts = cfg.num_minibatches
-    data |= dict(advantage=advantage)
-    data = {name: x.reshape(size, *x.shape[2:]) for name, x in data.items()}
+@partial(jax.jit, static_argnames=("size", "cfg"))
+def shuffled(key, size, cfg):
+    """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41)."""
     keys = jax.random.split(key, cfg.num_epochs)
     orders = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)
-    minibatches = orders[:, : size - size % parts].reshape(cfg.num_epochs * parts, -1)
+    whole = size - size % cfg.num_minibatches
+    return orders[:, :whole].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
-    def step(learner, chosen):
+
+@partial(jax.jit, static_argnames="cfg")
+def ppo_epochs(learner, data, minibatches, cfg):
+    """`ppo_update` of data, arrays (T, N, ...) by name, in the order of `minibatches`."""
+    advantage = data["advantage"] - data["advantage"].mean()
+    data = data | dict(advantage=advantage / (jnp.sqrt(jnp.square(advantage).mean()) + 1e-8))
+    data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
+
+    def step(carry, chosen):
+        params, opt_state = carry
         batch = {name: x[chosen] for name, x in data.items()}
-        gradient, log = average(jax.grad(ppo_loss, has_aux=True)(learner.params, batch, cfg))
-        direction, opt_state = optimizer(cfg).update(gradient, learner.opt_state)
-        params = jax.tree.map(lambda p, d: p - learner.lr * d, learner.params, direction)
-        params["actor"]["log_std"] = jnp.clip(params["actor"]["log_std"], *LOG_STD_RANGE)
-        return Learner(params, opt_state, learner.lr), log
+        gradient, log = jax.grad(ppo_loss, has_aux=True)(params, batch, learner.bases, cfg)
+        direction, opt_state = optimizer(cfg).update(gradient, opt_state)
+        params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
+        params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
+        return (params, opt_state), log
 
-    learner, log = jax.lax.scan(step, learner, minibatches)
-    log = {name: x.mean() for name, x in log.items()}
-    log |= dict(skipped=learner.opt_state.total_notfinite, lr=learner.lr)
-    return learner._replace(lr=adapt_lr(learner.lr, log["kl"], cfg)), log
-
-
-def global_mean(x):
-    """The mean of an array (...,) over all samples, those of other processes included."""
-    return average(x.mean())
+    start = learner.params, learner.opt_state
+    (params, opt_state), log = jax.lax.scan(step, start, minibatches)
+    losses = {name: x.mean() for name, x in log.items()}
+    losses |= dict(skipped=opt_state.total_notfinite, lr=learner.lr)
+    lr = adapt_lr(learner.lr, losses["kl"], cfg)
+    return Learner(params, learner.bases, opt_state, lr), losses
 
 
-def ppo_loss(params, batch, cfg):
+def ppo_loss(params, batch, bases, cfg):
     """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
-    mean, std, velocity = policy(params, batch["obs"])
+    mean, std, velocity = policy(params, batch["obs"], bases)
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    values = value(params, batch["obs"], batch["privileged"])
+    values = value(params, batch["obs"], batch["privileged"], bases)
     value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss

@@ -1,6 +1,7 @@
-"""What the robot is asked to do: the task rewards of Section IV-A, Eqs. (5) to (8).
+"""What the robot is asked to do: the task rewards of Section IV-A, Eqs. (5) to (8), and the shaped
+reward of Section V-E.
 
-Every function takes
+The functions of the equations take
 
     velocity: (..., 3)  v_x, v_y [m/s] and yaw rate omega_z [rad/s] of the robot
     command:  (..., 3)  v_x, v_y [m/s] and yaw rate [rad/s] that were asked for
@@ -9,11 +10,13 @@ with any leading batch shape. `flat`, `rough`, `max_velocity` and `curriculum` r
 reward r of Eq. (1) for one control step. It has no unit, but that of Eq. (7) is in m/s. The learner
 scales it by 0.02 (`eipo.Config.reward_scale`). The paper names no frame of reference for the
 velocity. The environment passes the velocity over ground, in the horizontal frame that is turned
-with the robot's heading, unless `tasks.Config.frame` says otherwise.
+with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
 """
 
 import numpy as np
 from numpy import exp, minimum, square
+
+from energy import norm2
 
 SIGMA_VXY = 0.25  # m^2/s^2, the lab's value; the paper prints none
 SIGMA_WZ = 0.25  # rad^2/s^2, the lab's value; the paper prints none
@@ -58,3 +61,94 @@ def curriculum(velocity, command):
     """Eq. (8), at most 1.5: Eq. (5) without the min, so it is an error to run too fast as well."""
     linear, angular = kernels(velocity, command)
     return linear + 0.5 * angular
+
+
+# ---- the baseline of Section V-E ----
+
+# Weights of the shaped reward of reference [5], two terms for tracking and ten for a good gait, as
+# in the lab's code. `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
+SHAPED = dict(
+    linear=1.0,
+    angular=0.5,
+    v_z=-2.0,
+    roll_pitch_rate=-0.05,
+    tilt=-5.0,
+    torque=-1e-4,
+    qdd=-2.5e-7,
+    height=-30.0,
+    air_time=1.0,
+    collisions=-1.0,
+    action_change=-0.01,
+    joint_limits=-10.0,
+)
+HEIGHT = 0.34  # m, of the trunk above the ground
+SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
+
+
+def shaped(**robot):
+    """The shaped reward (...,) [-]: the weighted sum of its terms, at least 0.
+
+    robot: the arguments of `shaped_terms`
+    """
+    terms = shaped_terms(**robot)
+    return np.maximum(sum(weight * terms[name] for name, weight in SHAPED.items()), 0.0)
+
+
+def shaped_terms(
+    *,
+    velocity,
+    command,
+    v_z,
+    roll_pitch_rate,
+    gravity,
+    torque,
+    qdd,
+    height,
+    landed,
+    collisions,
+    action_change,
+    q,
+    joint_range,
+):
+    """The terms of the shaped reward, not weighted: a dict of (...,), by the names of SHAPED.
+
+    velocity, command: (..., 3) as above
+    v_z:             (...,) [m/s] body velocity upwards
+    roll_pitch_rate: (..., 2) [rad/s]
+    gravity:         (..., 3) [-] unit vector down, in the body frame
+    torque, qdd, q:  (..., 12) [N m], [rad/s^2], [rad] of the joints
+    height:          (...,) [m] of the trunk above the ground
+    landed:          (..., 4) [s] how long feet that land now were in the air, see `landings`
+    collisions:      (...,) [-] number of thighs and calves that touch the ground
+    action_change:   (..., 12) [-] since the last step
+    joint_range:     (2, 12) [rad] lower and upper limits of the joints
+    """
+    linear, angular = kernels(velocity, command)
+    moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1
+    middle = joint_range.mean(0)
+    half = SOFT_LIMIT * np.diff(joint_range, axis=0)[0] / 2
+    return dict(
+        linear=linear,
+        angular=angular,
+        v_z=v_z**2,
+        roll_pitch_rate=norm2(roll_pitch_rate),
+        tilt=norm2(gravity[..., :2]),
+        torque=norm2(torque),
+        qdd=norm2(qdd),
+        height=(height - HEIGHT) ** 2,
+        air_time=np.where(landed > 0, landed - 0.5, 0.0).sum(-1) * moving,
+        collisions=collisions,
+        action_change=norm2(action_change),
+        joint_limits=np.maximum(np.abs(q - middle) - half, 0.0).sum(-1),
+    )
+
+
+def landings(off_ground, touch, period):
+    """How long each foot that lands now was in the air, and 0 for the other feet: (N, 4) [s].
+
+    off_ground: (N, 4) int, control steps since each foot touched the ground, before this step
+    touch:      (N, 4) bool, which feet are on the ground now
+    period:     [s] of a control step
+    A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].
+    """
+    return np.where(touch & (off_ground > 1), off_ground * period, 0.0)

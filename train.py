@@ -24,7 +24,6 @@ if __name__ == "__main__":
 import jax
 import numpy as np
 
-import curriculum
 import eipo
 import go1_env
 import networks
@@ -125,7 +124,7 @@ def save(folder, state, envs, cfg, params):
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index() == 0:
         policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
-        metrics.draw(folder, envs[0].state.command_weights if envs[0].rules.curriculum else None)
+        metrics.draw(folder, getattr(envs[0].commands, "weights", None))
 
 
 def check_learned(state, cfg):
@@ -159,10 +158,8 @@ def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
     share = cfg.num_envs // policies // jax.process_count()
-    # of both: J(pi) and J(pi') are of the same commands
-    weights = curriculum.initial_weights()
-    shared = dict(stream=jax.process_index(), command_weights=weights)
-    return [go1_env.Go1Env(share, env_cfg, threads, **shared) for _ in range(policies)]
+    commands = tasks.TASKS[env_cfg.task].commands()  # of both, so that J(pi) and J(pi') compare
+    return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
 def begin(folder, env_cfg, cfg, options):
@@ -180,7 +177,6 @@ def begin(folder, env_cfg, cfg, options):
     env_cfg, cfg = agree(options, env_cfg, cfg)
     envs = make_envs(env_cfg, cfg, options.threads)
     state = eipo.init_state(envs[0], envs[1] if len(envs) == 2 else None, cfg)
-    state = state._replace(key=parallel.own_key(state.key))
     if options.resume:  # the new State tells what to expect
         state = run_folder.load_checkpoint(checkpoint, state, envs)
     return env_cfg, cfg, envs, state
@@ -196,14 +192,14 @@ def train(folder, env_cfg, cfg, options, command, stop):
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         what = f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments."
         say(f"{what} Compiling (once, ~15 s) ...")
-    weights = envs[0].state.command_weights
+    weights = getattr(envs[0].commands, "weights", np.zeros(1))
     before = weights.copy()
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, numbers in algorithm(*envs, cfg, first_state):
         check_learned(state, cfg)
         stop.worth_saving = True
         steps = state.iteration * cfg.num_steps * cfg.num_envs
-        numbers = dict(steps=steps) | parallel.pooled(numbers)
+        numbers = dict(steps=steps) | {name: float(x) for name, x in numbers.items()}
         asked = meet(stop.asked, weights, before)
         if lead:
             row = log.row(state.iteration, numbers)
@@ -212,9 +208,9 @@ def train(folder, env_cfg, cfg, options, command, stop):
         if last or state.iteration % options.checkpoint_every == 0:
             if lead:
                 log.sync()
-            save(folder, state, envs, cfg, networks.dense(state.pi.params))
+            save(folder, state, envs, cfg, networks.plain_policy(state.pi.params, state.pi.bases))
         if state.pi_prime and last and lead:  # the rival, with which one compares pi, Eq. (3)
-            prime = networks.dense(state.pi_prime.params)
+            prime = networks.plain_policy(state.pi_prime.params, state.pi_prime.bases)
             policy_file.save(folder / "policy_prime.npz", prime, envs[1].env_cfg)
         if asked:
             break

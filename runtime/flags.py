@@ -38,7 +38,8 @@ As in the paper:
 
 def describe(config):
     """The comment behind each field of a config: {"gamma": "[lab code] discount, Eq. (1)", ...}."""
-    return dict(re.findall(r"^    (\w+): .*?  # (.*)$", inspect.getsource(config), re.M))
+    source = "".join(inspect.getsource(kind) for kind in config.__mro__[:-1])  # bases as well
+    return dict(re.findall(r"^    (\w+): .*?  # (.*)$", source, re.M))
 
 
 def kind_of(field):
@@ -95,7 +96,7 @@ def settle(given_env, given_learner):
 # ---- settings with which one can train ----
 
 WORDS = dict(
-    frame=("heading", "body"),
+    velocity_frame=("heading", "body"),
     clip=("torque", "power"),
     aux=("energy", "smooth"),
     reward=("paper", "shaped"),

@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 
-import curriculum
 import tasks
 from runtime import run_folder
 from runtime.interrupt import say
@@ -95,7 +94,7 @@ def report(row, first, iterations):
         f"{iteration}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}task {task:.2f}  "
         f"v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  alpha {row['alpha']:.1f}"
         + (f"  share {row['task_share']:.2f}  gap {row['gap']:+.2f}" if "gap" in row else "")
-        + "".join(f"  {name} {row[name]:.0f}" for name in FAULTS if row.get(name))
+        + "".join(f"  {name} {row[name]:.2g}" for name in FAULTS if row.get(name))
     )
     if sys.stdout.isatty():
         say(f"\r{line}\x1b[K", end="")
@@ -129,13 +128,14 @@ def draw_curves(folder):
     """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
     from matplotlib.figure import Figure  # here, because it is slow to import
 
-    env_cfg, cfg = run_folder.load_config(folder)
+    env_cfg, _ = run_folder.load_config(folder)
+    period = env_cfg.physics_steps * env_cfg.timestep  # s, of a control step
     columns = read(folder)
     for policy in ("", "prime_"):
         if policy + "task_reward" in columns:  # a shaped reward is not the task's
             columns[policy + "reward"] = columns[policy + "task_reward"]
         if policy + "ended_fall" in columns:
-            columns[policy + "falls"] = columns[policy + "ended_fall"] / minutes(env_cfg, cfg)
+            columns[policy + "falls"] = columns[policy + "ended_fall"] * 60 / period
     figure = Figure(figsize=(14, 6))
     # by hand, because matplotlib's layout engines take longer than all the rest
     figure.subplots_adjust(left=0.04, right=0.99, bottom=0.08, top=0.94, wspace=0.2, hspace=0.2)
@@ -166,12 +166,6 @@ def draw_levels(axes, task):
     axes.margins(y=0.08)  # room for the name of the highest one
 
 
-def minutes(env_cfg, cfg):
-    """How long the robots of one policy live in an iteration, all together [min]."""
-    robots = cfg.num_envs / (2 if cfg.algo == "eipo" else 1)
-    return robots * cfg.num_steps * env_cfg.physics_steps * env_cfg.timestep / 60
-
-
 def levels(task):
     """What a robot earns per step that stands, and one that does as it is told: {name: reward}.
 
@@ -179,11 +173,14 @@ def levels(task):
     there are none.
     """
     rules = tasks.TASKS[task]
-    asked = np.linspace(0, 1, 1001)[:, None] * rules.command_high
+    commands = rules.commands()
+    if isinstance(commands, tasks.Grid):
+        return {"as told": rules.reward(np.zeros(3), np.zeros(3))}
+    asked = np.linspace(0, 1, 1001)[:, None] * commands.high
+    if not commands.high.any():
+        return {}
     found = {"as told": rules.reward(asked, asked).mean()}
-    if any(rules.command_high):
-        return found | dict(standing=rules.reward(0 * asked, asked).mean())
-    return found if rules.curriculum else {}
+    return found | dict(standing=rules.reward(0 * asked, asked).mean())
 
 
 def draw_commands(folder, weights):
@@ -192,8 +189,8 @@ def draw_commands(folder, weights):
 
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    # of yaw rate, then of v_x
-    extent = np.ravel([curriculum.LOW, curriculum.HIGH], "F")[[2, 3, 0, 1]]
+    low, high = tasks.Grid.low, tasks.Grid.high
+    extent = low[2], high[2], low[0], high[0]  # of yaw rate, then of v_x
     image = axes.imshow(weights, origin="lower", extent=extent, aspect="auto", vmin=0, vmax=1)
     axes.set(
         title=f"{weights.mean():.1%} of all commands", xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]"

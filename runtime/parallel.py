@@ -1,26 +1,25 @@
-"""One run on several processes: each steps its own share of the environments, and all hold the same
-learner.
+"""One run on several processes. Each steps its share of the robots. All hold all samples and the
+same learner, and share the arithmetic of every minibatch.
 
-On one process `average`, `pooled` and `own_key` return what they get, `gather` a list of it, and
-`compiled` is `jax.jit`. Several keep their learners equal to the bit, because every gradient is
-averaged before it is used. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A
-process takes the first device that it sees.
+On one process nothing here does anything. On several, `Shared` shows the algorithm an environment
+of all robots, and `spread` cuts the indices of each minibatch. Nothing else of a run knows of
+processes. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process takes
+the first device that it sees.
 """
 
 import io
 import socket
-from functools import lru_cache, wraps
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from runtime.interrupt import leave_on_abort
 
-AXIS = PartitionSpec("process")
 # s in which all processes must have come, and s after which a silent one counts as ended
 JOIN, SILENCE = 60, 20
 LOST = "another process has ended, see what it said last; --resume goes on from the last checkpoint"
@@ -64,24 +63,71 @@ def join(coordinator, processes, process):
     why[0] = LOST
 
 
-def own_key(key):
-    """A random key of this process; the first process keeps the one that it is given."""
-    return jax.random.fold_in(key, jax.process_index()) if jax.process_index() else key
-
-
 def average(tree):
-    """Means over the processes of the numbers in tree, float32; also inside of `compiled`."""
+    """Means over the processes of the numbers in tree, float32."""
     if jax.process_count() == 1:
         return tree
     numbers, unravel = ravel_pytree(jax.tree.map(jnp.float32, tree))  # one message for all
-    inside = isinstance(numbers, jax.core.Tracer)
-    return unravel(jax.lax.pmean(numbers, *AXIS) if inside else jnp.mean(all_of(numbers), 0))
+    return unravel(jnp.mean(all_of(numbers), 0))
 
 
-def pooled(log):
-    """A dict of numbers of every process as one: floats are averaged, ints (counts) added."""
-    counts = {name: jax.process_count() if isinstance(x, int) else 1 for name, x in log.items()}
-    return {name: float(x) * counts[name] for name, x in average(log).items()}
+def sharding(*axes):
+    """A NamedSharding over one device of each process."""
+    first = {device.process_index: device for device in reversed(jax.devices())}
+    devices = [first[i] for i in range(jax.process_count())]
+    mesh = jax.make_mesh((len(devices),), ("process",), (AxisType.Auto,), devices=devices)
+    return NamedSharding(mesh, PartitionSpec(*axes))
+
+
+def spread(indices):
+    """indices (minibatches, size), of which each process takes its part of every minibatch.
+
+    XLA then divides the arithmetic of a minibatch among the processes, and adds up its parts.
+    """
+    if jax.process_count() == 1:
+        return indices
+    indices = np.asarray(indices)
+    cut = sharding(None, "process")
+    return jax.make_array_from_callback(indices.shape, cut, lambda part: indices[part])
+
+
+def everywhere(tree):
+    """The arrays of tree as arrays that all processes hold."""
+    if jax.process_count() == 1:
+        return tree
+
+    def replicated(x):
+        x = np.asarray(x)
+        return jax.make_array_from_callback(x.shape, sharding(), lambda part: x[part])
+
+    return jax.tree.map(replicated, tree)
+
+
+class Shared:
+    """An environment of the robots of all processes, of which this process steps its own."""
+
+    def __init__(self, env):
+        process, n = jax.process_index(), env.num_envs
+        self.env = env
+        self.num_envs = n * jax.process_count()
+        self.mine = slice(process * n, (process + 1) * n)
+
+    def __getattr__(self, name):
+        return getattr(self.env, name)
+
+    def reset(self, seed):
+        return everyone(self.env.reset((seed, jax.process_index())))
+
+    def observe(self):
+        return everyone(self.env.observe())
+
+    def step(self, action):
+        return everyone(self.env.step(action[self.mine]))
+
+
+def everyone(tree):
+    """The arrays (n, ...) of every process, one after the other."""
+    return reached(partial(multihost_utils.process_allgather, tiled=True), tree)
 
 
 def gather(arrays):
@@ -106,38 +152,3 @@ def reached(function, *args):
         return jax.block_until_ready(function(*args))
     except (ValueError, jax.errors.JaxRuntimeError) as error:
         raise ValueError(f"{LOST} ({error})") from None
-
-
-def compiled(function):
-    """function(*arrays, cfg), compiled. Arrays and results are this process's own."""
-    alone = jax.jit(function, static_argnames="cfg")
-
-    @lru_cache
-    def together(cfg):
-        devices = [
-            next(d for d in jax.devices() if d.process_index == i)
-            for i in range(jax.process_count())
-        ]
-        mesh = Mesh(devices, tuple(AXIS))
-
-        def one(rows):
-            return jax.tree.map(
-                lambda x: x[None], function(*jax.tree.map(lambda x: x[0], rows), cfg)
-            )
-
-        # check_vma=True would sum gradients over the processes before `average` sees them
-        return mesh, jax.jit(
-            jax.shard_map(one, mesh=mesh, in_specs=(AXIS,), out_specs=AXIS, check_vma=False)
-        )
-
-    @wraps(function)
-    def call(*args):
-        if jax.process_count() == 1:
-            return alone(*args)
-        *arrays, cfg = args
-        mesh, run = together(cfg)
-        rows = jax.tree.map(lambda x: jnp.asarray(x)[None], arrays)
-        results = reached(run, multihost_utils.host_local_array_to_global_array(rows, mesh, AXIS))
-        return jax.tree.map(lambda x: x.addressable_data(0)[0], results)
-
-    return call

@@ -37,9 +37,11 @@ import go1
 import go1_env
 import networks
 import tasks
+from mirror import make_bases
 from runtime import run_folder
-from runtime.flags import check_world, to_config
+from runtime.flags import check_world
 
+PLAIN = make_bases(None, go1_env.FRAME_WIDTH, 3, 12)
 STEPS = 50  # control steps of the trace, 1 s
 
 
@@ -52,11 +54,12 @@ def trace(params, env_cfg):
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
     env = go1_env.Go1Env(1, world, 1)
     rows = []
-    obs, _ = env.reset(0, tasks.example(env_cfg.task))
+    env_high = env.commands.high
+    obs, _ = env.reset(0, np.minimum(env_high, 1) * [1, 0, 0])
     for _ in range(STEPS):
         seen = dict(
             time=env.period * env.state.age[0],
-            gravity=env.felt_gravity()[0],
+            gravity=env.state.frames[0, -1, :3],
             command=env.state.command[0],
             q=env.qpos[0, 7:],
             qd=env.qvel[0, 6:],
@@ -64,7 +67,7 @@ def trace(params, env_cfg):
         )
         # copies, because the next step changes them
         row = {name: np.array(x, np.float32) for name, x in seen.items()}
-        action, _, estimate = (np.asarray(x) for x in networks.policy(params, obs))
+        action, _, estimate = (np.asarray(x) for x in networks.policy(params, obs, PLAIN))
         obs, *_ = env.step(action)
         action = np.clip(action[0], -env_cfg.action_limit, env_cfg.action_limit)
         target = go1.Q_NOMINAL + go1_env.ACTION_SCALE * action
@@ -92,12 +95,12 @@ def save(path, params, env_cfg):
     thigh, calf.
     """
     weights = {}
-    for net, layers in (("actor", params["actor"]["layers"]), ("estimator", params["estimator"])):
-        for i, layer in enumerate(layers):
-            weights[f"{net}.{i}.W"] = np.asarray(layer.even, np.float32)
+    for net in ("actor", "estimator"):
+        for i, layer in enumerate(params[net]):
+            weights[f"{net}.{i}.W"] = np.asarray(layer.weights[0], np.float32)
             weights[f"{net}.{i}.b"] = np.asarray(layer.bias, np.float32)
     units = dict(
-        log_std=np.asarray(params["actor"]["log_std"]),
+        log_std=np.asarray(params["log_std"]),
         frame_scale=go1_env.FRAME_SCALE,
         q_nominal=go1.Q_NOMINAL,
         action_scale=go1_env.ACTION_SCALE,
@@ -115,22 +118,18 @@ def load(path):
 
     def layers(net):
         indices = itertools.takewhile(lambda i: f"{net}.{i}.W" in arrays, itertools.count())
-        no_odd = np.zeros((0, 0), np.float32)
-        return [
-            networks.Layer(arrays[f"{net}.{i}.W"], no_odd, arrays[f"{net}.{i}.b"]) for i in indices
-        ]
+        return [networks.Layer((arrays[f"{net}.{i}.W"],), arrays[f"{net}.{i}.b"]) for i in indices]
 
     try:
-        env_cfg = to_config(tasks.Config, json.loads(str(arrays["config"])))
+        env_cfg = tasks.read_config(json.loads(str(arrays["config"])))
         check_world(1, env_cfg, None)
         params = dict(
-            actor=dict(layers=layers("actor"), log_std=arrays["log_std"]),
-            estimator=layers("estimator"),
+            actor=layers("actor"), estimator=layers("estimator"), log_std=arrays["log_std"]
         )
         check_finite(params)
         obs = jax.ShapeDtypeStruct((env_cfg.history * go1_env.FRAME_WIDTH,), np.float32)
         with suppress(TypeError, ValueError):
-            shapes = [x.shape for x in jax.eval_shape(networks.policy, params, obs)]
+            shapes = [x.shape for x in jax.eval_shape(networks.policy, params, obs, PLAIN)]
             if shapes == [(12,), (12,), (3,)]:
                 return params, env_cfg
         raise ValueError(f"its layers do not fit each other or its history of {env_cfg.history}")

@@ -141,7 +141,7 @@ def load_config(folder):
     """The tasks.Config and eipo.Config of a run."""
     try:
         record = json.loads((folder / "config.json").read_text())
-        env_cfg = to_config(tasks.Config, record["env"])
+        env_cfg = tasks.read_config(record["env"])
         cfg = to_config(eipo.Config, record["learner"])
         check_world(cfg.num_envs, env_cfg, None)
         check_learner(cfg)
@@ -186,10 +186,6 @@ def saved(env):
 
 def restore_env(env, arrays):
     """Let env continue from what `saved` returned, with the same bits as if never stopped."""
-    cells = np.array(env.state.command_weights.shape)
-    for name, ends in (("tile", env.env_cfg.tiles), ("cell", cells)):
-        if not ((arrays[name] >= 0) & (arrays[name] < ends)).all():
-            raise ValueError(f"{name} is beyond the last one")
     for name, x in vars(env.state).items():
         x[:] = arrays[name]
     env.batch.set_const()  # what MuJoCo derives from the masses
@@ -217,7 +213,7 @@ def save_checkpoint(path, state, envs, cfg):
     )
     settings |= dict(processes=jax.process_count()) if jax.process_count() > 1 else {}
     arrays = checkpoint_arrays(state, envs)
-    prefixes = ("env", "state.key", "state.start")
+    prefixes = ("env",)
     mine = {name: x for name, x in arrays.items() if name.startswith(prefixes)}
     others = parallel.gather(mine)[1:]
     arrays |= {f"{i}/{name}": x for i, own in enumerate(others, 1) for name, x in own.items()}
