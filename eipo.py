@@ -12,9 +12,10 @@ which is Algorithm 1 without pi_prime. What they call follows in the order of th
     D, P, A, K      widths, see `networks.py`
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `frame_size`,
-`privileged_size`, `action_size` and `mirror`, as `go1_env.Go1Env` documents them. No robot, no file
-and no other process is known here. The loop over iterations is plain Python, so that a
-`breakpoint()` works in it. Acting and learning are compiled.
+`privileged_size`, `action_size` and `mirror`, as `go1_env.Go1Env` documents them. `train.py` makes
+one for each policy, and picks the algorithm. No robot, no file and no other process is known here.
+The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning
+are compiled. D6 is entry D6 of `deviations.md`, where we depart from the paper.
 """
 
 from dataclasses import dataclass, fields
@@ -42,7 +43,7 @@ class Config(PPOConfig):
     lr_alpha: float = 0.01  # [IV-C] eta_alpha; two tasks have a longer one (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
-    dampening_alpha: float = 0.0  # [ours] as in torch's SGD; 0.99 makes momentum an average
+    dampening_alpha: float = 0.0  # [ours] gradients count 1 less this; 0.99: momentum is a mean
     alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
     mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs (D28)
 
@@ -87,8 +88,8 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout."""
 
-    advantage: jax.Array  # (T, N, K) of each stream, never normalised
-    target: jax.Array  # (T, N, K) lambda-returns: the critic learns them, their mean estimates J
+    advantage: jax.Array  # (T, N, K) of each stream, not normalised yet
+    target: jax.Array  # (T, N, K) advantage + value: the critic learns it, its mean estimates J
 
 
 # ---- Algorithm 1 ----
@@ -112,13 +113,13 @@ def eipo(env, env_prime, cfg, state=None):
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
         est = estimate(pi, tau, cfg.lam, cfg.ppo)
-        objective = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
-        pi, losses = ppo_update(pi, tau, est, objective, key_update, cfg.ppo)  # Alg.1 L9
+        advantage = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
+        pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)  # Alg.1 L9
 
         est_prime = estimate(pi_prime, tau_prime, cfg.lam, cfg.ppo)
-        objective_prime = est_prime.advantage[..., 0]  # Alg.1 L10
+        advantage_prime = est_prime.advantage[..., 0]  # Alg.1 L10
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
-            pi_prime, tau_prime, est_prime, objective_prime, key_update_prime, cfg.ppo
+            pi_prime, tau_prime, est_prime, advantage_prime, key_update_prime, cfg.ppo
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
@@ -138,8 +139,8 @@ def ppo(env, cfg, state=None):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
         est = estimate(pi, tau, cfg.lam, cfg.ppo)
-        objective = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays 1 / lam
-        pi, losses = ppo_update(pi, tau, est, objective, key_update, cfg.ppo)
+        advantage = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays as it is
+        pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)
         metrics = summary(est, dual, cfg) | log | losses
         yield State(iteration, state.key, pi, None, dual), metrics
 
@@ -154,9 +155,11 @@ def summary(est, dual, cfg):
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1, alpha no longer matters.
     """
-    task, cost = est.advantage.std((0, 1))
-    weighed = dual.alpha * cfg.lam * task  # as in `mix`
-    share = weighed / (weighed + cost + 1e-30) if cfg.lam else 1.0
+    share = 1.0
+    if cfg.lam:
+        task, cost = est.advantage.std((0, 1))
+        weighed = dual.alpha * cfg.lam * task  # as in `mix`
+        share = weighed / (weighed + cost + 1e-30)
     return dict(J=estimate_J(est), alpha=dual.alpha, task_share=share)
 
 
@@ -200,9 +203,19 @@ def rollout(env, pi, key, cfg):
         obs, privileged = env.observe()
         action, log_prob = map(np.asarray, act(pi, obs, key, t))
         _, reward, terminated, truncated, info = env.step(action)
-        result = reward, info["cost"], terminated, truncated
-        after = info["final_obs"], info["final_privileged"]
-        steps.append(Transition(obs, privileged, action, log_prob, *result, *after))
+        transition = Transition(
+            obs=obs,
+            privileged=privileged,
+            action=action,
+            log_prob=log_prob,
+            reward=reward,
+            cost=info["cost"],
+            terminated=terminated,
+            truncated=truncated,
+            next_obs=info["final_obs"],
+            next_privileged=info["final_privileged"],
+        )
+        steps.append(transition)
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
     tau = Transition(*map(np.stack, zip(*steps, strict=True)))
     return tau, {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
@@ -219,7 +232,8 @@ def estimate(pi, tau, lam, cfg):
     """
     values = value(pi.params, tau.obs, tau.privileged, pi.bases)
     next_values = value(pi.params, tau.next_obs, tau.next_privileged, pi.bases)
-    streams = jnp.stack([tau.reward, lam * tau.cost], -1)[..., : values.shape[-1]]
+    streams = jnp.stack([tau.reward, lam * tau.cost], -1)
+    streams = streams[..., : values.shape[-1]]  # the critic of pi_prime knows no cost
     ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(
         cfg.reward_scale * streams, values, next_values, *ends, cfg.gamma, cfg.gae_lambda
@@ -259,8 +273,9 @@ def mix(advantage, alpha, lam):
 
 
 def estimate_J(est):
-    """J of a policy: the mean of the lambda-returns of the task in its rollout (L12).
+    """J of a policy (L12): the mean of the task's target over the states of its rollout.
 
+    So it is of all states that the policy visits, not only of the first, and times `reward_scale`.
     Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
     """
     return est.target[..., 0].mean()
@@ -276,7 +291,7 @@ def step_alpha(dual, gap, cfg):
 
     dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises while pi is the worse one.
     Momentum is that of torch's SGD. Where alpha would fall below 0, it becomes 0 and loses its
-    momentum. If the gap is not finite, nothing moves.
+    momentum. If the gap is not finite, alpha and momentum stay (D44).
     """
     if not np.isfinite(gap):
         return dual

@@ -32,10 +32,10 @@ GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
 
 
-class Entry(NamedTuple):
-    """A part of the observation that is made of n numbers."""
+class Part(NamedTuple):
+    """A part of the observation, made of n numbers."""
 
-    mirror: tuple  # (index, sign): entry i of the mirrored robot is sign[i] x[index[i]] (D28)
+    mirror: tuple  # (index, sign): number i of the mirrored robot is sign[i] x[index[i]] (D28)
     scale: float | list = 1.0  # factor with which the policy sees it [lab code]
     noise: float = 0.0  # uniform noise within +- this is added, before the scale [lab code]
 
@@ -45,21 +45,21 @@ class Entry(NamedTuple):
 # robot's clock is half a period later, as in a trot.
 JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
 FRAME = dict(
-    gravity=Entry(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
-    command=Entry(([0, 1, 2], [1, -1, -1]), scale=[2, 2, 0.25]),  # v_x, v_y [m/s], yaw rate [rad/s]
-    q=Entry(JOINTS, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
-    qd=Entry(JOINTS, scale=0.05, noise=1.5),  # rad/s
-    previous_action=Entry(JOINTS),
-    timing=Entry(([0, 1], [-1, -1])),  # sin and cos of the timing reference
+    gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
+    command=Part(([0, 1, 2], [1, -1, -1]), scale=[2, 2, 0.25]),  # v_x, v_y [m/s], yaw rate [rad/s]
+    q=Part(JOINTS, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
+    qd=Part(JOINTS, scale=0.05, noise=1.5),  # rad/s
+    previous_action=Part(JOINTS),
+    timing=Part(([0, 1], [-1, -1])),  # sin and cos of the timing reference
 )
-WIDTHS = [len(entry.mirror[0]) for entry in FRAME.values()]
+WIDTHS = [len(part.mirror[0]) for part in FRAME.values()]
 FRAME_WIDTH = sum(WIDTHS)
-FRAME_SCALE = np.concatenate([np.ones(len(e.mirror[0])) * e.scale for e in FRAME.values()])
-FRAME_NOISE = np.repeat([entry.noise for entry in FRAME.values()], WIDTHS)
+FRAME_SCALE = np.concatenate([np.ones(len(part.mirror[0])) * part.scale for part in FRAME.values()])
+FRAME_NOISE = np.repeat([part.noise for part in FRAME.values()], WIDTHS)
 FRAME_MIRROR = (
-    np.concatenate([entry.mirror[0] for entry in FRAME.values()])
+    np.concatenate([part.mirror[0] for part in FRAME.values()])
     + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS),
-    np.concatenate([entry.mirror[1] for entry in FRAME.values()]),
+    np.concatenate([part.mirror[1] for part in FRAME.values()]),
 )
 
 
@@ -92,12 +92,11 @@ class Go1Env:
         self.rules = tasks.TASKS[env_cfg.task]
         self.task_commands = self.commands = commands or self.rules.commands()
         self.obs_size = env_cfg.history * FRAME_WIDTH
-        # entry i of the mirrored robot is sign[i] x[index[i]] (D28)
         self.mirror = dict(frame=FRAME_MIRROR, privileged=([0, 1, 2], [1, -1, 1]), action=JOINTS)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder. `step` counts warnings instead.
         mujoco.set_mju_user_warning(lambda message: None)
-        # from the greatest down, so that a single tile is the roughest
+        # from least to greatest, but drawn from the greatest, which a single tile gets
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]
         self.ground = None
         if levels.any():
@@ -130,7 +129,7 @@ class Go1Env:
             com=batch.expand("body_ipos"),  # (N, bodies, 3) [m]
             gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
             strength=np.ones((n, 1)),  # factor on the motors' torques
-            offset=np.zeros((n, 12)),  # rad, errors of the motors' encoders
+            offset=np.zeros((n, 12)),  # rad, by which each motor mistakes its joint's angle
             # rad, targets on their way to the motors, oldest first
             targets=np.zeros((self.env_cfg.latency + 1, n, 12)),
             action=np.zeros((n, 12)),  # the previous one, clipped
@@ -160,7 +159,7 @@ class Go1Env:
             self.commands = tasks.Given(np.broadcast_to(command, (self.num_envs, 3)).copy())
         elif isinstance(self.commands, tasks.Grid):
             self.commands.weights[:] = self.commands.initial_weights()
-        self.state.kernels[:] = 0.0
+        self.state.kernels[:] = 0.0  # nothing from before the reset is credited
         self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
@@ -188,25 +187,20 @@ class Go1Env:
         state.age += 1
         motion = go1.motion(self.qpos, self.qvel)
         # MuJoCo resets a simulation that is not finite and counts a warning. Any warning ends the
-        # episode, in which nothing is paid for this step (D44).
+        # episode, and this step has reward 0 and cost 0 (D44).
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
         task_reward, reward = self._reward(motion, physics, action_before)
         power, cost = self._power_and_cost(physics)
         reward, cost = np.where(diverged, 0.0, [reward, cost])
-        power = np.where(diverged, energy.SURVIVAL, power)
+        power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
         fell = physics.touched[:, self._forbidden()].any(-1) & ~diverged
         overload = (power > (env_cfg.max_power or np.inf)) & ~fell & ~diverged
         terminated = diverged | fell | overload
         truncated = ~terminated & (state.age >= env_cfg.episode_steps)
-        pitch, roll = go1.attitude(motion.to_world)
-        log = dict(pitch=pitch, roll=roll, v_x=motion.heading[:, 0], power=power)
-        log |= dict(command_x=state.command[:, 0].copy(), ended_fall=fell, ended_diverged=diverged)
+        log = self._log(motion, power, np.where(diverged, 0.0, task_reward))
+        log |= dict(ended_fall=fell, ended_diverged=diverged)
         log |= dict(ended_limit=truncated, ended_power=overload)
-        if env_cfg.reward == "shaped":
-            log |= dict(task_reward=np.where(diverged, 0.0, task_reward))
-        if isinstance(self.commands, tasks.Grid):
-            log |= dict(command_area=np.full(self.num_envs, self.commands.weights.mean()))
         if self.ground is not None:  # a robot that left its tile comes back on the other side
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
         self._next_command(np.flatnonzero(state.age % env_cfg.command_steps == 0))
@@ -224,7 +218,8 @@ class Go1Env:
     def _physics(self, target):
         """Simulate a control step with joint targets (N, 12) [rad]. Returns Physics.
 
-        Contacts are those with which a physics step begins: after the last one none is seen.
+        Contacts are those with which a physics step begins. Those after the last one show in the
+        next control step.
         """
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
         torque_speed = self.rules.torque_speed or self.env_cfg.motor_model
@@ -239,9 +234,9 @@ class Go1Env:
             torque = motor(state.targets[0], self.qpos[:, 7:] + state.offset, qd)
             self.ctrl[:] = go1.limit_torque(state.strength * torque, qd, torque_speed)
             torques.append(self.ctrl.copy())
-            self.batch.step()  # a joint may exceed the speed that the URDF gives for it
-            touched |= self.contacts > 0
-            speeds.append(self.qvel[:, 6:].copy())
+            self.batch.step()
+            touched |= self.contacts > 0  # N
+            speeds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
         return Physics(np.array(torques), np.array(speeds), touched)
 
     def _forbidden(self):
@@ -264,7 +259,10 @@ class Go1Env:
         return (physics.speed[-1] - physics.speed[0]) / self.period
 
     def _reward(self, motion, physics, action_before):
-        """The reward of the task and the one to learn from, (N,) each: the same unless shaped."""
+        """The reward of the task and the one to learn from, (N,) each: the same unless shaped.
+
+        It also counts on: how well the command is followed, and how long feet are off the ground.
+        """
         state = self.state
         velocity = motion.heading
         if self.env_cfg.velocity_frame == "body":
@@ -292,6 +290,18 @@ class Go1Env:
             q=self.qpos[:, 7:],
             joint_range=self.joint_range,
         )
+
+    def _log(self, motion, power, task_reward):
+        """Numbers (N,) that tell how training goes: degrees, m/s, W, and shares of 1."""
+        pitch, roll = go1.attitude(motion.to_world)
+        command_x = self.state.command[:, 0].copy()
+        log = dict(pitch=pitch, roll=roll, v_x=motion.heading[:, 0], power=power)
+        log |= dict(command_x=command_x)
+        if self.env_cfg.reward == "shaped":
+            log |= dict(task_reward=task_reward)
+        if isinstance(self.commands, tasks.Grid):
+            log |= dict(command_area=np.full(self.num_envs, self.commands.weights.mean()))
+        return log
 
     def _frame(self, motion, ids=slice(None)):
         """A frame (n, FRAME_WIDTH) of the observation of the robots `ids`; motion: go1.Motion."""

@@ -1,8 +1,9 @@
 """The coordinates in which an MLP that keeps to the robot's mirror symmetry costs half (D28).
 
 The mirror M of a Go1 swaps its right and left legs and negates what points sideways. Robot and
-tasks are symmetric, but for 2 mm in the trunk's centre of mass, and so is Eq. (9) with the power
-clip (D3). So a policy loses nothing if it commutes with M: pi(M s) = M pi(s).
+tasks are symmetric, but for 2 mm in the trunk's centre of mass. So is Eq. (9) with the power clip,
+but not with the torque clip (D3). So a policy loses nothing if it commutes with M, that is, if
+pi(M s) = M pi(s).
 
 An MLP commutes with M if its hidden units come in pairs (right, left) that M swaps. Each pair has
 an even coordinate, (right + left) / sqrt 2, which M keeps, and an odd one, (right - left) / sqrt 2,
@@ -47,8 +48,8 @@ def basis(index, sign):
     index, here = np.array(index), np.arange(len(index))
     identity = np.eye(len(index))
     reflection = np.array(sign)[:, None] * identity[index]
-    halves = [(identity + s * reflection)[:, here <= index] for s in (1, -1)]  # a column a pair
-    halves = [half[:, half.any(0)] for half in halves]  # an entry that M keeps is even alone
+    halves = [(identity + s * reflection)[:, here <= index] for s in (1, -1)]  # one column per pair
+    halves = [half[:, half.any(0)] for half in halves]  # an entry without a partner is even or odd
     return tuple((half / np.linalg.norm(half, axis=0)).astype(np.float32) for half in halves)
 
 
@@ -73,7 +74,7 @@ def join(halves, basis):
     return sum(half @ columns.T for half, columns in zip(halves, basis, strict=True))
 
 
-def swap(halves):
+def sum_and_difference(halves):
     """[right, left] hidden units from [even, odd], or back, as this is its own inverse."""
     if len(halves) == 1:
         return halves
@@ -90,17 +91,17 @@ def dense(layers, basis_in, basis_out):
     for i, layer in enumerate(layers):
         is_last = i + 1 == len(layers)
         out = basis_out if is_last else hidden_basis(len(layer.bias), len(layer.weights))
-        products = zip(basis_in, layer.weights, out, strict=True)
-        weights = sum(i @ np.asarray(w) @ o.T for i, w, o in products)
+        parts = zip(basis_in, layer.weights, out, strict=True)
+        weights = sum(a @ np.asarray(w) @ b.T for a, w, b in parts)
         plain.append((weights, out[0] @ np.asarray(layer.bias)))
         basis_in = out
     return plain
 
 
-def hidden_basis(pairs, halves):
-    """The basis of hidden units: `pairs` right ones, then as many left ones, or of a plain MLP."""
-    one = np.eye(pairs, dtype=np.float32)
-    if halves == 1:
+def hidden_basis(n, num_halves):
+    """The basis of n right and then n left hidden units or, with one half, of n plain ones."""
+    one = np.eye(n, dtype=np.float32)
+    if num_halves == 1:
         return (one,)
     return np.vstack([one, one]) / np.sqrt(2), np.vstack([one, -one]) / np.sqrt(2)
 

@@ -17,21 +17,29 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.stats import norm
 
-from mirror import dense, join, row_of_frames, side_by_side, split, split_frames, swap
+from mirror import (
+    dense,
+    join,
+    row_of_frames,
+    side_by_side,
+    split,
+    split_frames,
+    sum_and_difference,
+)
 
 
 class Layer(NamedTuple):
-    """A linear layer. Right and left units share a bias, which so has no odd half."""
+    """A linear layer. Right and left units share a bias, so it has no odd half."""
 
     weights: tuple  # of one matrix (n, m) for each half
-    bias: jax.Array  # (m,) of the first half
+    bias: jax.Array  # (m,) of the even half, or of the only one
 
 
 def mlp(layers, halves):
     """Outputs of an MLP, with ELU between the layers."""
     for i, layer in enumerate(layers):
         if i:  # ELU acts on the right and left units themselves
-            halves = swap([jax.nn.elu(units) for units in swap(halves)])
+            halves = sum_and_difference([jax.nn.elu(x) for x in sum_and_difference(halves)])
         halves = [x @ weights for x, weights in zip(halves, layer.weights, strict=True)]
         halves[0] += layer.bias
     return halves
@@ -44,8 +52,8 @@ def policy(params, obs, bases):
     """
     frames = split_frames(obs, bases.frame)
     velocity = mlp(params["estimator"], frames)
-    fixed = [jax.lax.stop_gradient(half) for half in velocity]
-    inputs = [jnp.concatenate(parts, -1) for parts in zip(frames, fixed, strict=True)]
+    detached = [jax.lax.stop_gradient(half) for half in velocity]
+    inputs = [jnp.concatenate(parts, -1) for parts in zip(frames, detached, strict=True)]
     mean = join(mlp(params["actor"], inputs), bases.action)
     std = jnp.exp(params["log_std"])[bases.pair]  # right and left are equally noisy
     return mean, jnp.broadcast_to(std, mean.shape), join(velocity, bases.privileged)
@@ -78,25 +86,28 @@ def init_params(rng, obs_size, heads, bases, cfg):
     rng: np.random.Generator; heads: K; cfg: ppo.PPOConfig, with the widths of the hidden layers
     """
     history = obs_size // len(bases.frame[0])
-    frames = [history * half.shape[1] for half in bases.frame]
-    velocity = [half.shape[1] for half in bases.privileged]
-    both = [n + m for n, m in zip(frames, velocity, strict=True)]
-    action = [half.shape[1] for half in bases.action]
-    values = [heads, 0][: len(both)]
+    num_halves = len(bases.frame)
+    obs_widths = [history * half.shape[1] for half in bases.frame]
+    velocity_widths = [half.shape[1] for half in bases.privileged]
+    action_widths = [half.shape[1] for half in bases.action]
+    state_widths = [n + m for n, m in zip(obs_widths, velocity_widths, strict=True)]
+    value_widths = [heads, 0][:num_halves]  # a mirrored state has the same value: no odd half
 
-    def layers(first, hidden, last):
-        return init_mlp(rng, [first, *([n // len(both)] * len(both) for n in hidden), last])
+    def mlp_widths(inputs, hidden, outputs):
+        return [inputs, *([n // num_halves] * num_halves for n in hidden), outputs]
 
     return dict(
-        actor=layers(both, cfg.hidden, action),
-        critic=layers(both, cfg.hidden, values),
-        estimator=layers(frames, cfg.hidden_estimator, velocity),
+        actor=init_mlp(rng, mlp_widths(state_widths, cfg.hidden, action_widths)),
+        critic=init_mlp(rng, mlp_widths(state_widths, cfg.hidden, value_widths)),
+        estimator=init_mlp(rng, mlp_widths(obs_widths, cfg.hidden_estimator, velocity_widths)),
         log_std=np.full(bases.pair.max() + 1, cfg.log_std, np.float32),
     )
 
 
 def init_mlp(rng, widths):
     """Random layers of an MLP, within +- 1 / sqrt(fan-in) as in PyTorch [lab code].
+
+    A half has its own fan-in, as its products have no other inputs.
 
     widths: of each layer, from the input on, a list with one number for each half
     """
@@ -113,12 +124,10 @@ def init_mlp(rng, widths):
 
 def plain_policy(params, bases):
     """The same policy as plain MLPs: params without a critic, for `make_bases(None, ...)`."""
-    velocity = bases.privileged
-    history = sum(len(w) for w in params["estimator"][0].weights) // len(bases.frame[0])
-    frames = row_of_frames(bases.frame, history)
-    both = side_by_side(frames, velocity)
-    actor = dense(params["actor"], both, bases.action)
-    estimator = dense(params["estimator"], frames, velocity)
+    obs_size = sum(len(weights) for weights in params["estimator"][0].weights)
+    obs = row_of_frames(bases.frame, obs_size // len(bases.frame[0]))
+    actor = dense(params["actor"], side_by_side(obs, bases.privileged), bases.action)
+    estimator = dense(params["estimator"], obs, bases.privileged)
     return dict(
         actor=[Layer((weights,), bias) for weights, bias in actor],
         estimator=[Layer((weights,), bias) for weights, bias in estimator],

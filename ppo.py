@@ -1,6 +1,6 @@
 """Proximal policy optimization: a policy's update from one rollout, lines 9 and 11 of Algorithm 1.
 
-It knows nothing of EIPO. It takes one advantage for each sample, in which the streams of `eipo.py`
+It needs no alpha, J or F. It takes one advantage for each sample, in which the streams of `eipo.py`
 are mixed already. The widths D, P, A and K are those of `networks.py`.
 """
 
@@ -28,7 +28,9 @@ class PPOConfig:
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
     lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] KL divergence of an update that lr aims at; 0: fixed (D20)
+    target_kl: float = (
+        0.03  # [ours] mean KL divergence of an update that lr aims at; 0: fixed (D20)
+    )
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -74,18 +76,19 @@ def optimizer(cfg):
     labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, labels), adam)
-    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
+    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)  # never give up
 
 
 def ppo_update(learner, tau, est, advantage, key, cfg):
     """All epochs and minibatches of one iteration (L9, L11): the new Learner, and its losses.
 
     tau, est:  eipo.Transition and eipo.Estimate of the rollout
-    advantage: (T, N), mixed. It is normalised here, once
+    advantage: (T, N), mixed. `ppo_epochs` normalises it, once
     losses:    means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
     data |= dict(target=est.target, advantage=advantage)
+    # several processes take a part of every minibatch each; on one nothing happens
     minibatches = spread(shuffled(key, advantage.size, cfg))
     return ppo_epochs(learner, data, minibatches, cfg)
 

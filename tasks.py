@@ -120,9 +120,9 @@ class Task(NamedTuple):
 
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
-# on `velocity`. Where lambda_0 is large and pi would stand for most of them, alpha takes longer
-# steps than the paper's 0.01 (D38). `velocity` needs fewer robots, because there one that stands
-# still earns nothing.
+# on `velocity`. Where lambda_0 is so large that pi would stand still for most of a run, alpha takes
+# larger steps than the paper's 0.01 (D38). `velocity` has fewer robots, because standing still earns
+# nothing there, and pi learns to run from fewer samples.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
@@ -185,13 +185,15 @@ class Config:
     physics_steps: int = 4  # [lab code] physics steps per control step: 50 Hz
     clock_hz: float = 3.0  # [ours] Hz, frequency of the timing reference
     action_limit: float = 10.0  # [lab code] actions are clipped to +- this
-    velocity_frame: str = "heading"  # [ours] in which rewards measure velocity, or "body" (D25)
+    velocity_frame: str = "heading"  # [ours] frame of the rewards' velocity, or "body" (D25)
     clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or "power" (D3)
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, from lowest to highest point: range over tiles
     cells_per_m: int = 4  # [lab code] cells of the Perlin noise per metre
     ground_seed: int = 0  # [ours] seed of the Perlin noise; evaluation has its own
-    start_spread: float = 0.5  # [lab code] how far starts are from the nominal pose at rest; 0: not
+    start_spread: float = (
+        0.5  # [lab code] how far starts are from the nominal pose; 0: exactly there
+    )
     tiles: int = 16  # [ours] tiles of ground, from the least to the greatest roughness
     friction: tuple = (0.5, 1.25)  # [ours] sliding friction of the feet
     payload: tuple = (-1.0, 1.0)  # [ours] kg on the trunk

@@ -12,7 +12,7 @@ from importlib.metadata import version
 
 YNN_OFF = "--xla_cpu_experimental_ynn_fusion_type="
 # first and last version of jaxlib on which this flag was tried; XLA stops at one it does not know
-YNN_KNOWN = (0, 10, 1), (0, 10, 2)
+YNN_KNOWN = (0, 10, 1), (0, 12, 0)
 
 
 def plain_products():
