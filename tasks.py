@@ -121,8 +121,8 @@ class Task(NamedTuple):
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
 # on `velocity`. Where lambda_0 is so large that pi would stand still for most of a run, alpha takes
-# larger steps than the paper's 0.01 (D38). `velocity` has fewer robots, because standing still earns
-# nothing there, and pi learns to run from fewer samples.
+# larger steps than the paper's 0.01 (D38). `velocity` has fewer robots, because standing still
+# earns nothing there, and pi learns to run from fewer samples.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
