@@ -191,9 +191,7 @@ class Config:
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, from lowest to highest point: range over tiles
     cells_per_m: int = 4  # [lab code] cells of the Perlin noise per metre
     ground_seed: int = 0  # [ours] seed of the Perlin noise; evaluation has its own
-    start_spread: float = (
-        0.5  # [lab code] how far starts are from the nominal pose; 0: exactly there
-    )
+    start_spread: float = 0.5  # [lab code] how far starts are from the nominal pose; 0: there
     tiles: int = 16  # [ours] tiles of ground, from the least to the greatest roughness
     friction: tuple = (0.5, 1.25)  # [ours] sliding friction of the feet
     payload: tuple = (-1.0, 1.0)  # [ours] kg on the trunk
