@@ -28,9 +28,7 @@ class PPOConfig:
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
     lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
-    target_kl: float = (
-        0.03  # [ours] mean KL divergence of an update that lr aims at; 0: fixed (D20)
-    )
+    target_kl: float = 0.03  # [ours] mean KL of an update that lr aims at; 0: fixed (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
