@@ -10,12 +10,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from support import EIPO, LAMBDAS, dyadic, handmade, trees_equal
+from support import EIPO, LAMBDAS, dyadic, handmade, plain_learner, trees_equal
 
 import eipo
-from eipo import Config, Dual, Estimate, Rollout
+from eipo import Dual, Estimate, Transition
 from lab import sweep
-from runtime import flags
 
 # line 13 as in Section IV-C.c
 PAPER = replace(EIPO, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)
@@ -27,57 +26,61 @@ at_1 = np.array([False, True, False])
 
 
 def test_eq01_discounted_return():
-    """gamma = 1/2, r = (1, 2, 4), nothing after: J = 1 + 2/2 + 4/4 = 3. GAE with V = 0, gae_lambda
-    = 1 is that sum.
+    """gamma = 1/2, r = (1, 2, 4) and nothing after. GAE with V = 0, gae_lambda = 1 is the sum
+
+    J = 1 + 2/2 + 4/4 = 3
     """
-    ends = np.array([False, False, True])
-    assert gae(np.array([1.0, 2.0, 4.0]), 0 * ones, 0 * ones, ends, never, 0.5, 1.0)[0] == 3
+    reward, ends = np.array([1.0, 2.0, 4.0]), np.array([False, False, True])
+    assert gae(reward, 0 * ones, 0 * ones, ends, never, 0.5, 1.0)[0] == 3
 
 
 def test_eq02_lambda_objective():
-    """A_r = (1, 2, -3), A_f = (4, -8, 16), lam = 1/4: A_r - lam A_f = (1 - 1, 2 + 2, -3 - 4) = (0,
-    4, -7).
+    """The second stream is stored as lam f. With lam = 1/4:
 
-    Stream 2 is stored as lam f, so its advantage is lam A_f = (1, -2, 4).
+    A_r           =  1,  2, -3
+    A_f           =  4, -8, 16
+    lam A_f       =  1, -2,  4
+    A_r - lam A_f =  0,  4, -7
     """
     advantage = np.array([[1.0, 1.0], [2.0, -2.0], [-3.0, 4.0]])
     assert eipo.mix(advantage, alpha=4.0, lam=0.25).tolist() == [0, 4, -7]
 
 
 def test_eq02_without_energy_is_the_task_alone():
-    """lam = 0 is alpha = 1 / lam = infinite: what is left is A_r, and no 0 * inf = nan."""
-    assert eipo.mix(np.array([[1.0, 64.0], [2.0, 64.0]]), alpha=np.inf, lam=0.0).tolist() == [1, 2]
+    """With lam = 0, alpha = 1 / lam is infinite. What is left is A_r, and no 0 * inf = nan."""
+    advantage = np.array([[1.0, 64.0], [2.0, 64.0]])
+    assert eipo.mix(advantage, alpha=np.inf, lam=0.0).tolist() == [1, 2]
 
 
 def test_eq04_lambda_is_one_over_alpha():
-    """D6. At alpha = 1 / lam = 4, Eq. (4)'s 4 A_r - A_f is 4 times Eq. (2)'s A_r - A_f / 4: equal
-    once normalised.
+    """D6. At alpha = 1 / lam = 4 they differ by a factor, and are equal once normalised:
+
+    Eq. (2)      A_r - A_f / 4
+    Eq. (4)    4 A_r - A_f
     """
     A_r, A_f = dyadic(np.random.default_rng(0), 2, 64)
     eq2 = eipo.mix(np.stack([A_r, 0.25 * A_f], -1), alpha=4.0, lam=0.25)
     eq4 = 4 * A_r - A_f
-    assert np.array_equal(eq2 * 4, eq4)
+    assert np.array_equal(4 * eq2, eq4)
     assert np.array_equal((eq2 - eq2.mean()) / eq2.std(), (eq4 - eq4.mean()) / eq4.std())
 
 
-def test_eq04_alpha_weighs_the_task():
-    """alpha = 32 with lam = 1/4: alpha A_r - A_f for A_r = 1, A_f = 4 is 32 - 4 = 28, times lam: 7.
-    Not 32 / 4 - 4.
+@pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 7.0), (0.0, -1.0)])
+def test_eq04_alpha_weighs_the_task(alpha, mixed):
+    """lam (alpha A_r - A_f) for A_r = 1, A_f = 4 and lam = 1/4:
 
-    At alpha = 0 the task counts for nothing: -4, times lam: -1. With the arguments swapped it would
-    be A_r.
+    alpha = 32:  (32 - 4) / 4 =  7
+    alpha =  0:  ( 0 - 4) / 4 = -1
     """
-    advantage = np.array([1.0, 0.25 * 4])
-    assert eipo.mix(advantage, alpha=32.0, lam=0.25) == 7
-    assert eipo.mix(advantage, 0.0, 0.25) == -1
+    assert eipo.mix(np.array([1.0, 0.25 * 4]), alpha, lam=0.25) == mixed
 
 
 def test_eq04_gradient_in_alpha():
-    """D2. F = 10, J = 3, J' = 5, alpha = 2: L = 10 - 2 (3 - 5) = 14, dL/dalpha = -(3 - 5) = +2:
-    ascent raises alpha.
+    """D2. F = 10, J = 3, J' = 5 and alpha = 2, with eta_alpha = 1/2, no momentum and a wide clip:
 
-    With eta_alpha = 1/2, no momentum and a wide clip, line 13 must go to 2 + 2/2 = 3; the printed J
-    - J' goes to 1.
+    L         = F - alpha (J - J') = 10 - 2 (3 - 5) = 14
+    dL/dalpha =          -(J - J') = +2
+    alpha     = 2 + 2/2 = 3            (the printed J - J' would go to 2 - 2/2 = 1)
     """
 
     def lagrangian(alpha, F=10.0, J=3.0, J_prime=5.0):
@@ -85,59 +88,55 @@ def test_eq04_gradient_in_alpha():
 
     assert lagrangian(2.0) == 14
     assert jax.grad(lagrangian)(2.0) == 2
-    plain = replace(PAPER, lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
-    assert eipo.step_alpha(Dual(2.0, 0.0), 3.0 - 5.0, plain) == Dual(3.0, 2.0)
+    cfg = replace(PAPER, lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
+    assert eipo.step_alpha(Dual(2.0, 0.0), 3.0 - 5.0, cfg) == Dual(3.0, 2.0)
 
 
 def test_eq10_the_sweep_has_its_nine_lambdas():
-    """Eq. (10), read off the paper, with the 0 of PPO without energy: Table I has a row for each,
-    and one for EIPO.
-    """
+    """Table I has a row for each lambda of Eq. (10), the 0 of PPO among them, and one for EIPO."""
     printed = (0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
-    assert printed == sweep.LAMBDAS and len(sweep.KINDS) == 1 + 9
-
-
-@pytest.mark.parametrize("algo, lambdas", [("ppo", LAMBDAS), ("eipo", LAMBDAS[1:])])
-def test_eq10_every_lambda_can_be_trained(algo, lambdas):
-    """PPO takes all nine; EIPO starts from every positive one."""
-    for lam in lambdas:
-        flags.check_learner(Config(algo=algo, lam=lam))
+    assert printed == sweep.LAMBDAS == LAMBDAS
+    assert len(sweep.KINDS) == 1 + 9
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----
 
 
 def test_algorithm1_line08_gae_plain():
-    """gamma = gae_lambda = 1/2, r = V = 1: every delta is 1 + 1/2 - 1 = 1/2; summed back with 1/4:
+    """gamma = gae_lambda = 1/2 and r = V = 1. Errors are summed backwards, with a factor 1/4:
 
-    1/2,  1/2 + 1/8 = 0.625,  1/2 + 0.625 / 4 = 0.65625
+    delta =  1 + 1/2 - 1       = 0.5
+    A_2   =  0.5
+    A_1   =  0.5 + 0.5 / 4     = 0.625
+    A_0   =  0.5 + 0.625 / 4   = 0.65625
     """
     assert gae(ones, ones, ones, never, never, 0.5, 0.5).tolist() == [0.65625, 0.625, 0.5]
 
 
 def test_algorithm1_line08_gae_terminated():
-    """Nothing comes after t = 1, whatever V says: delta_1 = 1 + 0 - 1 = 0, and t = 0 gets 1/2 + 0 /
-    4.
+    """Nothing comes after t = 1, whatever V says of the next state:
+
+    A_2 =  1 + 1/2 - 1         = 0.5
+    A_1 =  1 + 0 - 1           = 0
+    A_0 =  1 + 1/2 - 1 + 0 / 4 = 0.5
     """
-    assert gae(ones, ones, np.array([1.0, 64.0, 1.0]), at_1, never, 0.5, 0.5).tolist() == [
-        0.5,
-        0,
-        0.5,
-    ]
+    next_value = np.array([1.0, 64.0, 1.0])
+    assert gae(ones, ones, next_value, at_1, never, 0.5, 0.5).tolist() == [0.5, 0, 0.5]
 
 
 def test_algorithm1_line08_gae_truncated():
-    """Cut at 1, where V(final_obs) = 3: delta_1 = 1 + 3/2 - 1 = 1.5; t = 2 is another episode; t =
-    0: 1/2 + 1.5/4.
+    """Time was up after t = 1, where the next value is 3. Step 2 is of another episode:
+
+    A_2 =  1 + 1/2 - 1           = 0.5
+    A_1 =  1 + 3/2 - 1           = 1.5
+    A_0 =  1 + 1/2 - 1 + 1.5 / 4 = 0.875
     """
-    cut = gae(ones, ones, np.array([1.0, 3.0, 1.0]), never, at_1, 0.5, 0.5)
-    assert cut.tolist() == [0.875, 1.5, 0.5]
+    next_value = np.array([1.0, 3.0, 1.0])
+    assert gae(ones, ones, next_value, never, at_1, 0.5, 0.5).tolist() == [0.875, 1.5, 0.5]
 
 
 def test_algorithm1_line08_gae_is_linear():
-    """alpha gae(r) - gae(f) == gae(alpha r - f), bit by bit: mixing advantages is mixing rewards,
-    and can wait.
-    """
+    """alpha gae(r) - gae(f) == gae(alpha r - f), bit by bit. So advantages can be mixed later."""
     rng = np.random.default_rng(1)
     r, f = dyadic(rng, 2, 3, 4, 32)  # (reward, value, next value), T, N
     terminated, truncated = rng.random((2, 4, 32)) < 0.2
@@ -148,57 +147,77 @@ def test_algorithm1_line08_gae_is_linear():
     assert np.array_equal(8 * of(r) - of(f), of(8 * r - f))
 
 
-def estimate_of(obs, reward, terminated, truncated, final_obs, after, critic=1.0):
-    """What is estimated from a rollout of one environment by a critic that says V(obs) = critic *
-    obs.
+def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
+    """What is estimated from T steps of one environment by a critic that says V = critic * obs."""
 
-    Lists of T numbers; final_obs where truncated, in order
-    """
-    obs, zero, reward = (
-        np.reshape(np.float32(x), (-1, 1, 1)) for x in (obs, np.zeros(len(obs)), reward)
+    def column(x):
+        return np.reshape(x, (-1, 1, 1)).astype(np.float32)
+
+    zero = column([0] * len(obs))
+    scalars = [np.reshape(x, (-1, 1)) for x in (reward, terminated, truncated)]
+    reward, terminated, truncated = scalars
+    tau = Transition(
+        obs=column(obs),
+        privileged=zero,
+        action=zero,
+        log_prob=zero[..., 0],
+        reward=reward,
+        cost=0 * reward,
+        terminated=terminated,
+        truncated=truncated,
+        next_obs=column(next_obs),
+        next_privileged=zero,
     )
-    terminated, truncated = np.reshape(terminated, (-1, 1)), np.reshape(truncated, (-1, 1))
-    after, final = (np.reshape(np.float32(x), (-1, 1)) for x in (after, final_obs))
-    tau = Rollout(
-        obs, zero, zero, reward, terminated, truncated, (after, 0 * after), (final, 0 * final)
-    )
-    return eipo.estimate(handmade(critic=((critic,), (0.0,))), tau, EIPO)
+    pi = plain_learner(handmade(critic=((critic,), (0.0,))))
+    return eipo.estimate(pi, tau, EIPO.lam, EIPO.ppo)
 
 
-def test_algorithm1_line08_gae_bootstraps_from_the_final_observation():
-    """The critic says V(obs) = obs. Observations 1, 1 | 64 (a new episode, after a time limit),
-    then 5.
+def test_algorithm1_line08_gae_bootstraps_from_where_the_step_led():
+    """The critic says V(obs) = obs. Time is up after t = 1, and 64 begins another episode:
 
-    t = 2: 1 + 5/2 - 64 = -60.5     the end of the rollout is no end of the episode: V(after) = 5
-    t = 1: 1 + 3/2 - 1 = 1.5        V(final_obs) = 3, not the 64 of the reset observation
-    t = 0: 1 + 1/2 - 1 + 1.5/4 = 0.875
-    Targets add V: 1.875, 2.5, 3.5. J is their mean, 7.875 / 3 = 2.625.
+    t = 0:  from 1 to 1
+    t = 1:  from 1 to 3, the end of the episode
+    t = 2:  from 64 to 5, the end of the rollout but not of the episode
+
+    A_2 =  1 + 5/2 - 64          = -60.5
+    A_1 =  1 + 3/2 - 1           =   1.5
+    A_0 =  1 + 1/2 - 1 + 1.5 / 4 =   0.875
+
+    Targets are A + V, and J is their mean, (1.875 + 2.5 + 3.5) / 3 = 2.625.
     """
-    estimate = estimate_of([1, 1, 64], [1, 1, 1], [False] * 3, [False, True, False], [3], after=5)
+    ends = dict(terminated=[False] * 3, truncated=[False, True, False])
+    estimate = estimate_of([1, 1, 64], [1, 1, 1], **ends, next_obs=[1, 3, 5])
     assert estimate.advantage.ravel().tolist() == [0.875, 1.5, -60.5]
     assert estimate.target.ravel().tolist() == [1.875, 2.5, 3.5]
     assert eipo.estimate_J(estimate) == 2.625
 
 
 def test_algorithm1_line08_gae_ends_where_an_episode_terminated():
-    """Fallen at t = 1 and at the last step: only the reward counts there. 1 - 1 = 0, 1 - 64 = -63;
-    t = 0: 1/2 + 0/4.
+    """The robot falls at t = 1 and at the last step. There the reward alone counts:
+
+    A_2 =  1 - 64              = -63
+    A_1 =  1 - 1               =   0
+    A_0 =  1 + 1/2 - 1 + 0 / 4 =   0.5
     """
-    estimate = estimate_of([1, 1, 64], [1, 1, 1], [False, True, True], [False] * 3, [], after=5)
+    ends = dict(terminated=[False, True, True], truncated=[False] * 3)
+    estimate = estimate_of([1, 1, 64], [1, 1, 1], **ends, next_obs=[1, 3, 5])
     assert estimate.advantage.ravel().tolist() == [0.5, 0, -63]
 
 
 def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
-    """D8. One-step episodes, V = 0: rewards (0, 2, 0, 2) give J = 1, rewards (2, 4, 2, 4) give J =
-    3: the gap is -2.
+    """D8. Episodes of one step, V = 0. The gap between these two policies is 1 - 3 = -2:
 
-    Their normalised advantages are the same (-1, 1, -1, 1), of mean 0: alpha could never tell them
+    rewards 0, 2, 0, 2:  J = 1
+    rewards 2, 4, 2, 4:  J = 3
+
+    The normalised advantages of both are -1, 1, -1, 1, of mean 0. So alpha could never tell them
     apart.
     """
-    ends = dict(
-        obs=[0] * 4, terminated=[True] * 4, truncated=[False] * 4, final_obs=[], after=0, critic=0.0
+    ends = dict(terminated=[True] * 4, truncated=[False] * 4)
+    low, high = (
+        estimate_of([0] * 4, reward, **ends, next_obs=[0] * 4, critic=0.0)
+        for reward in ([0, 2, 0, 2], [2, 4, 2, 4])
     )
-    low, high = (estimate_of(reward=reward, **ends) for reward in ([0, 2, 0, 2], [2, 4, 2, 4]))
     assert low.advantage.ravel().tolist() == [0, 2, 0, 2]
     assert (eipo.estimate_J(low), eipo.estimate_J(high)) == (1, 3)
     normalised = [(e.advantage - e.advantage.mean()) / e.advantage.std() for e in (low, high)]
@@ -207,26 +226,25 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
 
 
 def test_algorithm1_line12_estimate_J_is_the_task_alone():
-    """Targets (1, 64) and (3, 64) of the streams (task, cost): J = (1 + 3) / 2 = 2, the cost is not
-    asked.
-    """
+    """Targets of task and cost are (1, 64) and (3, 64): J = (1 + 3) / 2 = 2."""
     target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    assert eipo.estimate_J(Estimate(None, target, None)) == 2
+    assert eipo.estimate_J(Estimate(None, target)) == 2
 
 
 @pytest.mark.parametrize(
     ("alpha", "lam", "share"), [(6.0, 0.25, 0.75), (4.0, 0.25, 2 / 3), (np.inf, 0.0, 1.0)]
 )
 def test_algorithm1_share_of_the_task_in_the_objective(alpha, lam, share):
-    """A_r = +-1 and lam A_f = +-1/2 with lam = 1/4, so A_f = +-2: 6 / (6 + 2) at alpha = 6, 4 / (4
-    + 2) at 1 / lam.
+    """A_r = +-1 and lam A_f = +-1/2 with lam = 1/4, so that A_f = +-2:
 
-    Without energy the share is all. J is the mean of 1 and 3.
+    alpha = 6:        6 / (6 + 2) = 3/4
+    alpha = 1 / lam:  4 / (4 + 2) = 2/3
+
+    Without energy the share is 1. J is the mean of 1 and 3.
     """
-    estimate = Estimate(
-        np.array([[[1.0, 0.5]], [[-1.0, -0.5]]]), np.array([[[1.0, 64.0]], [[3.0, 64.0]]]), None
-    )
-    log = eipo.summary(estimate, Dual(alpha, 0.0), replace(EIPO, lam=lam))
+    advantage = np.array([[[1.0, 0.5]], [[-1.0, -0.5]]])
+    target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
+    log = eipo.summary(Estimate(advantage, target), Dual(alpha, 0.0), replace(EIPO, lam=lam))
     assert log == dict(J=2, alpha=alpha, task_share=pytest.approx(share))
 
 
@@ -234,7 +252,7 @@ def test_algorithm1_share_of_the_task_in_the_objective(alpha, lam, share):
 
 
 def alphas(gaps, cfg=PAPER, start=200.0):
-    """alpha after each step of line 13, and the last Dual."""
+    """alpha at the start and after each step of line 13, and the last Dual."""
     duals = [Dual(start, 0.0)]
     for gap in gaps:
         duals.append(eipo.step_alpha(duals[-1], gap, cfg))
@@ -242,24 +260,27 @@ def alphas(gaps, cfg=PAPER, start=200.0):
 
 
 def test_algorithm1_line13_alpha_momentum():
-    """alpha = 200, eta 0.01, clip 1, momentum 0.99; pi lags by 2, lags by 1, leads by 1/2:
+    """eta 0.01, clip 1, momentum 0.99. pi lags by 2, lags by 1, leads by 1/2:
 
-    gap -2:  g = clip(2) = 1   v = 1                        alpha = 200.01
-    gap -1:  g = 1             v = 0.99 + 1 = 1.99          alpha = 200.01 + 0.0199 = 200.0299
-    gap 1/2: g = -1/2          v = 1.9701 - 0.5 = 1.4701    alpha = 200.0299 + 0.014701 = 200.044601
+    gap      gradient       momentum                     alpha
+    -2       clip(2) = 1    1                            200 + 0.01          = 200.01
+    -1       1              0.99 + 1        = 1.99       200.01 + 0.0199     = 200.0299
+    1/2      -1/2           1.9701 - 0.5    = 1.4701     200.0299 + 0.014701 = 200.044601
     """
     assert alphas((-2, -1, 0.5))[0] == pytest.approx([200, 200.01, 200.0299, 200.044601], rel=1e-12)
 
 
-def test_algorithm1_line13_alpha_gradient_is_clipped_both_ways():
-    """However far ahead or behind, the gradient is 1: v = 0.99 * 0 -+ 1."""
-    assert eipo.step_alpha(Dual(200.0, 0.0), 64.0, PAPER).momentum == -1
-    assert eipo.step_alpha(Dual(200.0, 0.0), -64.0, PAPER).momentum == 1
+@pytest.mark.parametrize(("gap", "momentum"), [(64.0, -1), (-64.0, 1)])
+def test_algorithm1_line13_alpha_gradient_is_clipped_both_ways(gap, momentum):
+    """However far pi is ahead or behind, the gradient is -1 or 1."""
+    assert eipo.step_alpha(Dual(200.0, 0.0), gap, PAPER).momentum == momentum
 
 
 def test_algorithm1_line13_alpha_stays_above_zero_and_loses_its_momentum_there():
-    """0.005 - 0.01 < 0: alpha = 0, v = 0. What follows is a fresh start: 0 + 0.01 * 1, not 0.01 *
-    (1 - 0.99).
+    """What follows is a fresh start, without the momentum of -0.99 that was there:
+
+    0.005 - 0.01 < 0:  alpha = 0
+    0 + 0.01 * 1:      alpha = 0.01
     """
     dual = eipo.step_alpha(Dual(0.005, 0.0), 1.0, PAPER)
     assert dual == Dual(0.0, 0.0)
@@ -273,20 +294,19 @@ def test_algorithm1_line13_alpha_stays_where_it_is_when_the_gap_is_not_finite(ga
 
 
 def test_algorithm1_line13_alpha_dampening_turns_momentum_into_an_average():
-    """dampening 0.99: v = 0.01 * 1, alpha = 200 + 0.01 * 0.01; a constant gradient of 1 never gets
-    v above 1.
+    """Dampening 0.99. A gradient of 1 that lasts never gets the momentum above 1:
+
+    momentum =   0 + 0.01 * 1    =   0.01
+    alpha    = 200 + 0.01 * 0.01 = 200.0001
     """
     cfg = replace(PAPER, dampening_alpha=0.99)
-    assert eipo.step_alpha(Dual(200.0, 0.0), -1.0, cfg) == pytest.approx(
-        Dual(200.0001, 0.01), rel=1e-12
-    )
+    first = eipo.step_alpha(Dual(200.0, 0.0), -1.0, cfg)
+    assert first == pytest.approx(Dual(200.0001, 0.01), rel=1e-12)
     assert alphas([-1.0] * 2000, cfg)[1].momentum == pytest.approx(1)
 
 
 def test_algorithm1_line13_alpha_moves_by_one_per_iteration_in_the_limit():
-    """v -> 1 / (1 - 0.99) = 100, so that alpha gains at most 0.01 * 100 = 1 per iteration, be the
-    gap ever so wide.
-    """
+    """The momentum comes to 1 / (1 - 0.99) = 100, so alpha gains at most 0.01 * 100 = 1."""
     gains = np.diff(alphas([-1000.0] * 2000)[0])
     assert gains.max() < 1.000001
     assert gains[-1] == pytest.approx(1)
