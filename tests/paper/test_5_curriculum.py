@@ -1,50 +1,59 @@
-"""Section IV-A.4: the command curriculum, cell by cell."""
+"""Section IV-A.4: the commands that grow with what the robot can do, cell by cell."""
 
 import numpy as np
 import pytest
 
-import curriculum
+from tasks import Grid
 
 
-def rng():
-    return np.random.default_rng(0)
-
-
-def grid(weights, shape=(22, 40)):
-    """Weights that are 0 but for some cells: {cell: weight}."""
-    result = np.zeros(shape)
+def grid(weights):
+    """A Grid whose weights are 0 but for some cells: {cell: weight}."""
+    commands = Grid()
+    commands.weights[:] = 0.0
     for cell, weight in weights.items():
-        result[cell] = weight
-    return result
+        commands.weights[cell] = weight
+    return commands
+
+
+def draw(commands, n):
+    """n commands."""
+    return commands.draw(np.random.default_rng(0), np.arange(n))
+
+
+def centre(cell):
+    """The command (v_x, 0, yaw rate) in the middle of a cell of 0.5, from -1 m/s and -10 rad/s."""
+    return [-1 + 0.5 * (cell[0] + 0.5), 0.0, -10 + 0.5 * (cell[1] + 0.5)]
 
 
 def test_start_is_within_one_metre_and_one_radian_per_second():
-    """Cells of 0.5 from -1 and from -10: x cells 0 to 3 and yaw cells 18 to 21 lie within [-1, 1];
-    16 of 880.
-    """
-    weights = curriculum.initial_weights()
-    assert weights.shape == (22, 40) and weights.sum() == 16 and (weights[:4, 18:22] == 1).all()
+    """x cells 0 to 3 and yaw cells 18 to 21 lie within [-1, 1], 16 cells of 880."""
+    weights = Grid().weights
+    assert weights.shape == (22, 40)
+    assert (weights[:4, 18:22] == 1).all() and weights.sum() == 16
 
 
 @pytest.mark.parametrize(
-    "weights, successes, after",
+    "weight, cells, corner, after",
     [
-        ({}, [(1, 1)], [[0.2, 0.2, 0.2], [0.2, 0.4, 0.2], [0.2, 0.2, 0.2]]),
-        ({(0, 0): 0.5}, [(0, 0), (0, 0)], [[1.0, 0.4, 0.0], [0.4, 0.4, 0.0], [0.0, 0.0, 0.0]]),
-        ({}, [(2, 2)], np.pad([[0.2, 0.2, 0.2], [0.2, 0.4, 0.2], [0.2, 0.2, 0.2]], 1)),
+        (0.0, [(10, 20)], (9, 19), [[0.2, 0.2, 0.2], [0.2, 0.4, 0.2], [0.2, 0.2, 0.2]]),
+        (0.0, [(21, 39)], (20, 38), [[0.2, 0.2], [0.2, 0.4]]),
+        (0.5, [(0, 0), (0, 0)], (0, 0), [[1.0, 0.4], [0.4, 0.4]]),
     ],
-    ids=["amid", "in a corner", "far from an edge"],
+    ids=["amid", "in a corner", "two in a corner, from 0.5"],
 )
-def test_update_by_hand(weights, successes, after):
-    """A success in the middle of 3 x 3: 0.2 for its cell and 0.2 for all nine, so 0.4 amid 0.2. A
-    failure is nothing.
+def test_a_success_by_hand(weight, cells, corner, after):
+    """A success gives 0.2 to its cell and 0.2 to all nine around, so 0.4 amid 0.2.
 
-    Two in one corner count twice, nothing grows out at the other side, and weights stop at 1.
+    Two count twice, nothing grows out at the other side, and weights stop at 1. A failure, here in
+    the cell (5, 5), gives nothing.
     """
-    cell, success = np.array([*successes, (2, 2)]), np.array([True] * len(successes) + [False])
-    assert curriculum.update(grid(weights, np.shape(after)), cell, success) == pytest.approx(
-        np.array(after)
-    )
+    commands, expected = grid({cells[0]: weight}), grid({}).weights
+    rows, columns = (slice(start, start + len(after)) for start in corner)
+    expected[rows, columns] = after
+    command = np.array([centre(cell) for cell in (*cells, (5, 5))])
+    kernels = np.array([[0.9, 0.9]] * len(cells) + [[0.1, 0.9]])
+    commands.record(command, kernels)
+    assert commands.weights == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -53,42 +62,40 @@ def test_update_by_hand(weights, successes, after):
 )
 def test_success_needs_both(linear, angular, success):
     """More than 0.8 of the linear and more than 0.5 of the angular kernel [lab code]."""
-    assert curriculum.succeeded(np.array([linear]), np.array([angular])).tolist() == [success]
+    commands = grid({})
+    commands.record(np.array([centre((10, 20))]), np.array([[linear, angular]]))
+    assert commands.weights.any() == success
 
 
 def test_commands_come_from_their_cells():
-    """A single cell (6, 30) has v_x in [2, 2.5] and yaw rate in [5, 5.5]; v_y is in all of [-0.6,
-    0.6].
+    """The cell (6, 30) has v_x in [2, 2.5] and yaw rate in [5, 5.5]. v_y is in all of [-0.6, 0.6].
 
-    The three are drawn one by one, so that they are not correlated: 1000 draws are, by chance, by
-    0.03 (5 sigma 0.16).
+    The three are drawn one by one, so that they are not correlated. Those of 1000 draws are, by
+    chance, by 0.03 (5 sigma 0.16).
     """
-    command, cell = curriculum.sample(grid({(6, 30): 0.2}), rng(), 1000)
-    assert (cell == [6, 30]).all() and len(np.unique(command)) == 3000
-    assert (command.min(0) >= [2.0, -0.6, 5.0]).all() and (command.max(0) <= [2.5, 0.6, 5.5]).all()
-    assert (command.min(0) < [2.01, -0.59, 5.01]).all() and (
-        command.max(0) > [2.49, 0.59, 5.49]
-    ).all()
+    command = draw(grid({(6, 30): 0.2}), 1000)
+    assert len(np.unique(command)) == 3000
+    low, high = np.array([2.0, -0.6, 5.0]), np.array([2.5, 0.6, 5.5])
+    assert (low <= command.min(0)).all() and (command.min(0) < low + 0.01).all()
+    assert (high >= command.max(0)).all() and (command.max(0) > high - 0.01).all()
     assert np.abs(np.corrcoef(command.T) - np.eye(3)).max() < 0.16
 
 
 def test_commands_are_drawn_in_proportion_to_the_weights():
-    """Weights 1 and 0.25: four of five commands come from the first cell, 4000 of 5000 give or take
-    140 (5 sigma).
+    """Weights 1 and 0.25: of 5000 commands 4000 come from the first cell, with v_x from 4 to 4.5,
+    give or take 140 (5 sigma), the others from 5 to 5.5.
     """
-    _, cell = curriculum.sample(grid({(10, 20): 1.0, (12, 22): 0.25}), rng(), 5000)
-    assert (
-        abs((cell == [10, 20]).all(1).sum() - 4000) < 140 and (cell == [12, 22]).all(1).sum() > 800
-    )
+    v_x = draw(grid({(10, 20): 1.0, (12, 22): 0.25}), 5000)[:, 0]
+    first, second = ((v_x >= low) & (v_x <= low + 0.5) for low in (4, 5))
+    assert abs(first.sum() - 4000) < 140
+    assert (first | second).all()
 
 
 def test_small_planar_commands_are_zero():
-    """Cell x in [0, 0.5]: below 0.2 m/s both planar components are 0 and the yaw rate is kept."""
-    command, _ = curriculum.sample(grid({(2, 20): 1.0}), rng(), 2000)
+    """v_x from 0 to 0.5. Where (v_x, v_y) is shorter than 0.2 m/s both are 0, the yaw rate not."""
+    command = draw(grid({(2, 20): 1.0}), 2000)
     speed = np.linalg.norm(command[:, :2], axis=1)
-    assert (
-        ((speed == 0) | (speed >= 0.2)).all() and (speed == 0).any() and (command[:, 2] > 0).all()
-    )
+    assert (speed == 0).any() and (command[:, 2] > 0).all()
     assert 0.2 <= speed[speed > 0].min() < 0.21
     assert (command[speed > 0, 0] < 0.2).any()  # what counts is the length of both
 
@@ -97,10 +104,10 @@ def test_perfect_tracking_fills_the_grid_and_failure_keeps_it():
     """From its 16 cells the region reaches all of 22 x 40 if everything succeeds, and nothing more
     if nothing does.
     """
-    grown = kept = curriculum.initial_weights()
-    draws = rng()
+    rng, grown, kept = np.random.default_rng(0), Grid(), Grid()
     for _ in range(150):
-        _, cell = curriculum.sample(grown, draws, 256)
-        grown = curriculum.update(grown, cell, np.ones(256, bool))
-        kept = curriculum.update(kept, cell, np.zeros(256, bool))
-    assert grown.min() == grown.max() == 1 and (kept == curriculum.initial_weights()).all()
+        command = grown.draw(rng, np.arange(256))
+        grown.record(command, np.ones((256, 2)))
+        kept.record(command, np.zeros((256, 2)))
+    assert grown.weights.min() == grown.weights.max() == 1
+    assert (kept.weights == Grid().weights).all()
