@@ -1,6 +1,4 @@
-"""Sections IV-A.2 and 3: Perlin noise and the ground made of it. The numbers are dyadic, so that ==
-is meant.
-"""
+"""Sections IV-A.2 and 3: Perlin noise and the ground made of it, in dyadic numbers, by hand."""
 
 import numpy as np
 import pytest
@@ -17,9 +15,7 @@ def rng(seed=0):
 
 
 def block(ground, index):
-    """The heights of a tile and its apron, 4 + 2 * 1 m: 120 points each way, of which 20 to 99 are
-    the tile.
-    """
+    """The heights of a tile and its apron: 120 points each way, of which 20 to 99 are the tile."""
     return ground[:, 120 * index : 120 * (index + 1)]
 
 
@@ -27,11 +23,13 @@ def block(ground, index):
 
 
 def test_fade_by_hand():
-    """1/4: (1/64) (1/4 (6/4 - 15) + 10) = 6.625 / 64; 1/2: (1/8) (1/2 (3 - 15) + 10) = 4 / 8; 3/4:
-    57.375 / 64.
+    """t^3 (t (6 t - 15) + 10), which is flat at both ends:
 
-    Flat at both ends: 10 h^3 - 15 h^4 + 6 h^5 is less than 10 h^3, where a slope would leave h and
-        a curvature h^2.
+    t = 1/4:  1/64  (1/4 (6/4 - 15) + 10)  = 6.625 / 64
+    t = 1/2:  1/8   (1/2 (3 - 15) + 10)    = 4 / 8
+    t = 3/4:  27/64 (3/4 (18/4 - 15) + 10) = 57.375 / 64
+
+    A small h leaves less than 10 h^3, where a slope would leave h and a curvature h^2.
     """
     assert fade(np.arange(5) / 4).tolist() == [0.0, 0.103515625, 0.5, 0.896484375, 1.0]
     h = 2.0**-10
@@ -41,11 +39,11 @@ def test_fade_by_hand():
 @pytest.mark.parametrize(
     ("x", "y", "value"),
     [
-        # planes 1/2 + 3/2, 1 + 5/2, 7/2 + 2, -3 + 9/2: the mean of 2, 3.5, 5.5, 1.5
+        # planes 1/2 + 3/2, 1 + 5/2, 7/2 + 2, -3 + 9/2, which is the mean of 2, 3.5, 5.5, 1.5
         (0.5, 0.5, 3.125),
         (0.25, 0.0, 0.37939453125),  # (1 - s) 1/4 + s (-3/4) (-2) = 0.25 + 1.25 s
         (0.0, 0.25, 0.98291015625),  # (1 - s) 3/4 + s (-3/4) (-4) = 0.75 + 2.25 s
-        # planes 1.75, 4, 3.75, 0: the mean of 1.75 + 2.25 s and 3.75 - 3.75 s
+        # planes 1.75, 4, 3.75, 0, so the mean of 1.75 + 2.25 s and 3.75 - 3.75 s
         (0.25, 0.5, 2.67236328125),
         # next cell, whose far corner is the first again: (1 - s) (-1/2) + s (-3/4)
         (1.25, 0.0, -0.52587890625),
@@ -55,19 +53,16 @@ def test_fade_by_hand():
     ],
 )
 def test_perlin_by_hand(x, y, value):
-    """A corner's plane is gradient * (x - corner); 1/4 from a corner the next one weighs s =
-    fade(1/4) = 0.103515625.
+    """A corner's plane is gradient * (x - corner), and 0 at its corner, where no other counts.
 
-    At the centre of a cell every fade is 1/2, so that the four planes weigh alike. Every plane goes
-    through 0 at its corner, and the other corners do not count there.
+    At the centre of a cell every fade is 1/2, so that the four planes weigh alike. At 1/4 from a
+    corner the next one weighs s = fade(1/4) = 0.103515625.
     """
     assert (perlin(*np.broadcast_arrays(x, y), GRADIENTS) == value).all()
 
 
 def test_perlin_is_periodic():
-    """3 x 5 gradients repeat after 3 cells in x and 5 in y, bit by bit, and neither the other way
-    round nor earlier.
-    """
+    """3 x 5 gradients repeat after 3 cells in x and 5 in y, bit by bit, and not otherwise."""
     gradients = rng().normal(size=(3, 5, 2))
     x, y = np.meshgrid(np.arange(-64, 64) / 16, np.arange(-64, 64) / 16, indexing="ij")
     noise = perlin(x, y, gradients)
@@ -78,13 +73,10 @@ def test_perlin_is_periodic():
 
 
 def test_random_gradients():
-    """A lattice of unit vectors, each with a direction of its own, all around: their mean is near
-    0.
-    """
+    """Unit vectors, each with a direction of its own, all around, so that their mean is near 0."""
     gradients = random_gradients(rng(), 16)
-    assert (
-        gradients.shape == (16, 16, 2) and len(np.unique(gradients.reshape(-1, 2), axis=0)) == 256
-    )
+    assert gradients.shape == (16, 16, 2)
+    assert len(np.unique(gradients.reshape(-1, 2), axis=0)) == 256
     assert np.hypot(*gradients.T) == pytest.approx(1.0, abs=1e-12)
     assert np.abs(gradients.mean((0, 1))).max() < 0.15
 
@@ -94,9 +86,7 @@ def test_random_gradients():
 
 @pytest.mark.parametrize("roughness", [0.0, 1e-6, 0.05, 0.15])
 def test_roughness_is_peak_to_peak(roughness):
-    """IV-A: from the deepest to the highest of the 80 x 80 points of 4 m; the mean stays near 0; 0
-    is a floor.
-    """
+    """IV-A. From the deepest to the highest of the 80 x 80 points of 4 m, around a mean near 0."""
     heights = tile(rng(), roughness)
     assert heights.shape == (80, 80)
     assert heights.max() - heights.min() == pytest.approx(roughness, rel=1e-12)
@@ -105,22 +95,16 @@ def test_roughness_is_peak_to_peak(roughness):
 
 @pytest.mark.parametrize(("cells_per_m", "points"), [(1, 20), (2, 10), (4, 5), (5, 4)])
 def test_feature_size(cells_per_m, points):
-    """4 cells per metre, points 0.05 m apart: the noise is 0 at every fifth point each way, and
-    nowhere else.
-    """
+    """Points are 0.05 m apart. With 4 cells per metre every fifth is 0 each way, and no other."""
     heights = tile(rng(), 0.15, cells_per_m)
     assert not heights[::points, ::points].any()
     assert np.count_nonzero(heights) == 80 * 80 - (4 * cells_per_m) ** 2
 
 
 def test_lattice_of_a_tile(monkeypatch):
-    """4 m, 4 cells per metre: 16 gradients each way, so that the noise does not repeat itself
-    within its tile.
-    """
-    made = []
-    monkeypatch.setattr(
-        terrain, "random_gradients", lambda rng, n: made.append(n) or rng.normal(size=(n, n, 2))
-    )
+    """4 m with 4 cells per metre need 16 gradients each way, so that no tile repeats itself."""
+    made, make = [], terrain.random_gradients
+    monkeypatch.setattr(terrain, "random_gradients", lambda rng, n: made.append(n) or make(rng, n))
     tile(rng(), 0.15)
     assert made == [16]
 
@@ -129,45 +113,38 @@ def test_lattice_of_a_tile(monkeypatch):
 
 
 def test_make_ground():
-    """Three tiles in a row along x, 120 x 360 points, each with the roughness asked for, in that
-    order.
+    """Three tiles in a row along x, 120 x 360 points, each with its own roughness, in that order.
 
-    A resumed run, or both policies of one, find the same ground; another seed makes another, and so
-    do settings.
+    A resumed run and both policies of one find the same ground. Another seed makes another one,
+    and so do settings.
     """
-    ground = make_ground([0.0, 0.05, 0.15])
+    roughness = [0.0, 0.05, 0.15]
+    ground = make_ground(roughness)
     assert ground.shape == (120, 360)
-    assert [np.ptp(block(ground, k)) for k in range(3)] == pytest.approx(
-        [0.0, 0.05, 0.15], rel=1e-12
-    )
-    assert (make_ground([0.0, 0.05, 0.15], seed=0, cells_per_m=4) == ground).all()
+    assert [np.ptp(block(ground, k)) for k in range(3)] == pytest.approx(roughness, rel=1e-12)
+    assert (make_ground(roughness, seed=0, cells_per_m=4) == ground).all()
     for other in (dict(seed=1), dict(cells_per_m=2)):
-        assert (make_ground([0.0, 0.05, 0.15], **other) != ground)[:, 120:].mean() > 0.9
+        assert (make_ground(roughness, **other) != ground)[:, 120:].mean() > 0.9
 
 
 def test_tiles_differ():
-    """Each tile has noise of its own: the robots learn no one piece of ground by heart."""
+    """Each tile has noise of its own, so that robots learn no piece of ground by heart."""
     ground = make_ground([0.05] * 3)
     for i, j in [(0, 1), (0, 2), (1, 2)]:
         assert (block(ground, i) != block(ground, j)).mean() > 0.9
 
 
 def test_apron_is_the_tile_again():
-    """Within a tile and its apron of 1 m what lies 4 m apart, 80 points, is alike, bit by bit, in x
-    and y.
-    """
+    """Within a tile and its apron of 1 m, heights 80 points (4 m) apart have the same bits."""
     ground = make_ground([0.05, 0.15])
     for part in (block(ground, 0), block(ground, 1)):
         assert (part[:, :40] == part[:, 80:]).all() and (part[:40] == part[80:]).all()
 
 
 def test_ground_has_no_step_at_the_edge_of_a_tile():
-    """With 20 points per cell the ground is smooth: its bend at the tile's edges is no sharper than
-    elsewhere.
+    """With 20 points per cell the ground is smooth, at the tile's edges 20 and 100 as elsewhere.
 
-    A tile that is not periodic bends by its whole step there. Points 20 and 100 are the tile's
-    edges; the bend at c
-    is h[c - 1] - 2 h[c] + h[c + 1].
+    Its bend at c is h[c - 1] - 2 h[c] + h[c + 1], the whole step where a tile is not periodic.
     """
     ground = make_ground([0.15] * 4, cells_per_m=1)
     for heights in (block(ground, 0), block(ground, 3), block(ground, 0).T, block(ground, 3).T):
@@ -181,14 +158,15 @@ def test_ground_has_no_step_at_the_edge_of_a_tile():
 def test_origin_by_hand():
     """A tile every 4 + 2 * 1 m along x, each behind its apron of 1 m."""
     assert origin(np.array([0, 1, 15])).tolist() == [[1.0, 1.0], [7.0, 1.0], [91.0, 1.0]]
-    assert origin(np.array([[0], [1]])).tolist() == [[[1.0, 1.0]], [[7.0, 1.0]]] and origin(
-        1
-    ).tolist() == [7.0, 1.0]
+    assert origin(np.array([[0], [1]])).tolist() == [[[1.0, 1.0]], [[7.0, 1.0]]]
+    assert origin(1).tolist() == [7.0, 1.0]
 
 
 def test_wrap_by_hand():
-    """Whole tiles of 4 m are added or taken until x is in [6 index + 1, 6 index + 5) and y in [1,
-    5).
+    """Whole tiles of 4 m are added or taken, until
+
+    6 index + 1 <= x < 6 index + 5
+              1 <= y < 5
     """
     xy, index, place = zip(
         ((2.0, 3.0), 0, (2.0, 3.0)),  # inside
@@ -221,24 +199,20 @@ def test_wrap_by_hand():
     ],
 )
 def test_height_by_hand(x, y, value):
-    """Points 0.05 m apart, x along a row, y from row to row: their own height there, the mean
-    halfway.
-    """
+    """Points are 0.05 m apart, x along a row, y from row to row, and heights linear in between."""
     ground = np.array([[0.0, 1.0, 4.0], [2.0, 8.0, 16.0]])
     assert height(ground, np.array([x, y])) == pytest.approx(value, abs=1e-12)
 
 
 def test_height_of_any_shape():
-    """Robots x legs at once, none mixed up: height 1 m per metre in x, 2 in y."""
+    """Robots x legs at once, none mixed up. Heights rise by 1 m per metre in x, 2 in y."""
     ground = 0.05 * np.arange(5) + 0.1 * np.arange(4)[:, None]
     xy = rng().uniform(0, 0.15, (2, 3, 2))
     assert height(ground, xy) == pytest.approx(xy[..., 0] + 2 * xy[..., 1], abs=1e-12)
 
 
 def test_height_survives_wrap():
-    """A robot that is put back finds the ground it was on, wherever on the tile or on its apron it
-    stood.
-    """
+    """A robot that is put back finds the ground it was on, wherever on tile or apron it stood."""
     ground, index = make_ground([0.05, 0.15, 0.1]), rng().integers(3, size=1000)
     xy = rng(1).uniform(-1.0, 4.9, (1000, 2)) + np.stack([6.0 * index + 1, np.ones(1000)], -1)
     back = wrap(xy, index)

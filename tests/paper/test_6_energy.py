@@ -2,18 +2,16 @@
 physics has it (D17).
 """
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
 from support import FROZEN, NOMINAL, QUARTER, ROOT, make, place, quiet, still
 
 import energy
-import evaluate
 import go1
 import go1_env
-from runtime import policy_file
+import mirror
+import networks
 
 
 def joints(*values):
@@ -23,30 +21,32 @@ def joints(*values):
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 0.0), ("power", 3.0)])
 def test_eq09_mechanical(clip, power):
-    """tau = (2, -5), qd = (3, 2). D3, as printed: 2*3 + (-3)*2 = 0. Power clipped: 6 + max(-10, -3)
-    = 3.
+    """D3. tau = (2, -5) and qd = (3, 2):
+
+    as printed:     2 * 3 +    (-3) * 2  = 0
+    power clipped:  2 * 3 + max(-10, -3) = 3
     """
     assert energy.mechanical_power(joints(2.0, -5.0), joints(3.0, 2.0), clip) == power
 
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 12.0), ("power", 20.0)])
 def test_eq09_mechanical_of_a_joint_driven_backwards(clip, power):
-    """tau = -5, qd = -4, a motor that works: D3, as printed (-3)(-4) = 12, by power
-    (-5)(-4) = 20.
+    """D3. A motor that works, at tau = -5 and qd = -4:
+
+    as printed:     (-3) (-4) = 12
+    power clipped:  (-5) (-4) = 20
     """
     assert energy.mechanical_power(joints(-5.0), joints(-4.0), clip) == power
 
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 20000.0), ("power", 10000.0)])
 def test_eq09_mechanical_upper_bound(clip, power):
-    """tau = 2e4, qd = 2: the torque is cut to 1e4, 1e4*2 = 2e4; the power of 4e4 is cut to 1e4."""
+    """tau = 2e4 and qd = 2. The torque is cut to 1e4, the power of 4e4 to 1e4."""
     assert energy.mechanical_power(joints(2e4), joints(2.0), clip) == power
 
 
 def test_eq09_heating():
-    """tau = (1/2, 1), g = (2, 3): tau * g = (1, 3), 0.7 (1 + 9) = 7. (tau / g would give 0.7 (1/16
-    + 1/9).)
-    """
+    """tau = (1/2, 1), g = (2, 3): tau * g = (1, 3) and 0.7 (1 + 9) = 7."""
     assert energy.heating_power(np.array([0.5, 1.0]), np.array([2.0, 3.0])) == 7.0
 
 
@@ -55,9 +55,7 @@ def test_eq09_heating():
     ("joint", "torque"), [(0, 2.0), (1, -2.0), (2, 3.0)], ids=["hip", "thigh", "calf"]
 )
 def test_eq09_gear_ratio(leg, joint, torque):
-    """D4, g = (1, 1, 2/3): 2 N m at a hip or thigh and 3 N m at a calf heat alike, 0.7 *
-    2^2 = 2.8.
-    """
+    """D4, g = (1, 1, 2/3). 2 N m at a hip or thigh and 3 N m at a calf heat alike, 0.7 * 2^2."""
     tau = np.zeros(12)
     tau[3 * leg + joint] = torque
     assert energy.heating_power(tau) == 2.8
@@ -65,18 +63,19 @@ def test_eq09_gear_ratio(leg, joint, torque):
 
 @pytest.mark.parametrize(("clip", "power"), [("torque", 56.0), ("power", 59.0)])
 def test_eq09_total(clip, power):
-    """tau = (2, -4), qd = (3, 2): 0.7 (4 + 16) + 42 = 56, plus mechanical 6 - 6 = 0 or, by power, 6
-    - 3 = 3.
+    """tau = (2, -4) and qd = (3, 2):
+
+    heat and electronics:  0.7 (4 + 16) + 42 = 56
+    mechanical:            6 - 6 = 0, or by power 6 - 3 = 3
     """
     assert energy.total_power(joints(2.0, -4.0), joints(3.0, 2.0), clip) == power
 
 
 @pytest.mark.parametrize(("clip", "cost"), [("torque", -144.0), ("power", -141.0)])
 def test_eq09_survival_bonus(clip, cost):
-    """The numbers of the total, 56 W or 59 W, less the bonus of 200.
+    """The totals of 56 W or 59 W, less the bonus of 200.
 
-    No torque: the electronics' 42 W are left, and a cost of 42 - 200 = -158, so that living on
-        pays.
+    Without torque 42 W are left, and the cost of 42 - 200 = -158 makes living on pay.
     """
     assert energy.energy_cost(joints(2.0, -4.0), joints(3.0, 2.0), clip) == cost
     idle = np.zeros(12), np.full(12, 7.0), clip
@@ -94,8 +93,10 @@ def test_eq09_unknown_clip(function):
 
 @pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
 def test_eq09_cost_of_a_step(clip, expected):
-    """A hip on target at 8 rad/s: tau = -0.5 * 8 = -4; (-3) 8 = -24, or by power -3; + 0.7 * 16 +
-    42 - 200.
+    """A hip on target at 8 rad/s has tau = -0.5 * 8 = -4:
+
+    as printed:     (-3) 8 + 0.7 * 16 + 42 - 200 = -170.8
+    power clipped:      -3 + 0.7 * 16 + 42 - 200 = -149.8
     """
     env = make(1, clip=clip, **FROZEN)
     place(env, qd=[8.0] + [0.0] * 11)
@@ -105,11 +106,12 @@ def test_eq09_cost_of_a_step(clip, expected):
 
 
 def test_eq09_cost_at_the_torque_limit():
-    """Action 10 asks for 20 * 1.25 = 25 (hips) and 50 N m and gets 23.7, calves 35.55, of which 2/3
-    is 23.7 again.
+    """The torque of Eq. (9) is the one that is applied, not the one that was asked for.
 
-    12 * 0.7 * 23.7^2 = 4718.196, + 42 - 200: the torque of Eq. (9) is the one applied, not the one
-    asked for.
+    Action 10 asks hips for 20 * 1.25 = 25 N m, the others for 50. They get 23.7, calves 35.55, of
+    which 2/3 is 23.7 again:
+
+    12 * 0.7 * 23.7^2 + 42 - 200 = 4560.196
     """
     env = make(1, **FROZEN)
     place(env)
@@ -126,8 +128,11 @@ def test_eq09_cost_at_the_torque_limit():
     ],
 )
 def test_eq11_smoothness(torque, action, qdd, cost):
-    """2e-4 (4 + 9) = 0.0026; 1e-2 (1 + 1/4) = 0.0125; 2.5e-7 (3600 + 6400) = 0.0025; all three
-    0.0176.
+    """Each term alone, then all three:
+
+    2e-4   (4 + 9)         = 0.0026
+    1e-2   (1 + 1/4)       = 0.0125
+    2.5e-7 (3600 + 6400)   = 0.0025
     """
     terms = (joints(*x) for x in (torque, action, qdd))
     assert energy.smoothness_cost(*terms) == pytest.approx(cost, rel=1e-12)
@@ -135,24 +140,23 @@ def test_eq11_smoothness(torque, action, qdd, cost):
 
 @pytest.mark.parametrize(("qd", "torque"), [(0.0, 5.0), (1.0, 4.3)])
 def test_eq11_smoothness_is_the_cost_of_a_step(qd, torque):
-    """Eq. (11) in the loop. 12 torques of 5 N m, at 1 rad/s 0.7 less; 12 actions of 1 or 2; small
-    qdd.
+    """12 torques of 5 N m, or 0.7 less at 1 rad/s, 4 actions of 2 and 8 of 1, and small qdd:
 
-    2e-4 * 12 * 25 + 1e-2 * (4 * 4 + 8 * 1) = 0.06 + 0.24; no survival bonus, and the power is
-    logged all the same.
+    2e-4 * 12 * 25 + 1e-2 (4 * 4 + 8 * 1) = 0.06 + 0.24
+
+    There is no survival bonus, and the power is logged all the same.
     """
     env = quiet(aux="smooth")
     place(env, qd=qd)
     info = env.step(QUARTER)[4]
     qdd = (env.qvel[0, 6:] - qd) / 4e-9
-    assert info["cost"] == pytest.approx(
-        2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum(), rel=1e-6
-    )
+    expected = 2e-4 * 12 * torque**2 + 0.24 + 2.5e-7 * np.square(qdd).sum()
+    assert info["cost"] == pytest.approx(expected, rel=1e-6)
     assert info["log"]["power"][0] > 200
 
 
 def test_eq11_takes_the_mean_of_the_physics_steps():
-    """D17. In the air, where joints move: the torques of all four physics steps count, and qdd is
+    """D17. In the air, where joints move, the torques of all four physics steps count, and qdd is
     that of the 20 ms.
     """
     env, torques = quiet(aux="smooth", timestep=0.005), []
@@ -161,9 +165,8 @@ def test_eq11_takes_the_mean_of_the_physics_steps():
     cost, qdd = env.step(QUARTER)[4]["cost"], (env.qvel[:, 6:] - before) / 0.02
     tau = 2e-4 * np.square(torques).sum(-1)
     assert len(tau) == 4 and tau[3].max() < 0.9 * tau[0].min()
-    assert cost == pytest.approx(
-        tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1), rel=1e-6
-    )
+    expected = tau.mean(0) + 1e-2 * 24 + 2.5e-7 * np.square(qdd).sum(-1)
+    assert cost == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +181,7 @@ def test_eq11_takes_the_mean_of_the_physics_steps():
     ],
 )
 def test_energy_of_any_leading_shape(function, arguments, clip):
-    """Rollouts are (T, N, 12): an entry of the result must not depend on the others."""
+    """Rollouts are (T, N, 12), so an entry of the result must not depend on the others."""
     x = np.random.default_rng(0).normal(size=(arguments, 2, 3, 12)) * 10
     result = function(*x, *clip)
     assert result.shape == (2, 3)
@@ -196,12 +199,15 @@ HINGE = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbod
 
 @pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
 def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
-    """D17. Inertia 1/2 + 1/2 = 1 kg m^2, 8 N m for 25 steps of 5 ms: 1/8 s, so 1 rad/s and 1/2 J.
+    """D17. An inertia of 1/2 + 1/2 = 1 kg m^2 under 8 N m for 25 steps of 5 ms gains
 
-    By the mean speed of each step the work is 1/2 J, too. The speed before step k is k / 25, so by
-    that it is
-    8 * 0.005 * (0 + ... + 24) / 25 = 0.48 J: each step loses tau^2 dt / (2 I) = 0.16 W of 4 W on
-    average.
+    speed:               8 * 1/8                       = 1 rad/s
+    energy:              1^2 / 2                       = 0.5 J
+
+    The mean speed of step k is (k + 1/2) / 25, that before it k / 25:
+
+    work by the mean:    0.04 * (1/2 + ... + 49/2) / 25 = 0.5 J
+    work by that before: 0.04 * (0 + ... + 24) / 25     = 0.48 J
     """
     model = mujoco.MjModel.from_xml_string(HINGE.replace("implicitfast", integrator))
     robot, before, mean = mujoco.MjData(model), 0.0, 0.0
@@ -216,41 +222,41 @@ def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
 
 
 def random_targets():
-    """The nominal pose at rest, and random joint targets for fifty control steps."""
-    rng = np.random.default_rng(0)
-    return (
-        np.array([0, 0, 0.32, 1, 0, 0, 0, *NOMINAL]),
-        np.zeros(18),
-        NOMINAL + 0.3 * rng.normal(size=(50, 12)),
-    )
+    """The nominal pose at rest, qpos and qvel, and random joint targets for 50 control steps."""
+    qpos = np.array([0, 0, 0.32, 1, 0, 0, 0, *NOMINAL])
+    noise = np.random.default_rng(0).normal(size=(50, 12))
+    return qpos, np.zeros(18), NOMINAL + 0.3 * noise
 
 
 def policy_targets():
-    """The shipped policy of flat ground, asked for 1 m/s: where it is after a second, and its
-    targets in the next.
-    """
-    params, env_cfg = policy_file.load(ROOT / "results" / "flat" / "policy.npz")
-    as_in_the_model = dict(friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0, stagger=False)
-    env, policy = (
-        go1_env.Go1Env(1, replace(env_cfg, **as_in_the_model), 1),
-        evaluate.deterministic(params),
-    )
-    (obs, _), targets = env.reset(0, [1.0, 0.0, 0.0]), []
+    """Where the shipped policy of flat ground is after a second at 1 m/s, and its next targets."""
+    with np.load(ROOT / "results" / "flat" / "policy.npz") as file:
+
+        def layers(net, n):
+            return [networks.Layer((file[f"{net}.{i}.W"],), file[f"{net}.{i}.b"]) for i in range(n)]
+
+        params = dict(actor=layers("actor", 4), estimator=layers("estimator", 3))
+        params["log_std"] = file["log_std"]
+    bases = mirror.make_bases(None, 44, 3, 12)
+    env = make(1, noise=1.0, friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0)
+    env.reset(0, [1.0, 0.0, 0.0])
+    targets = []
     for t in range(100):
         if t == 50:
-            qpos, qvel = env.qpos[0].copy(), env.qvel[0].copy()
-        obs, *_ = env.step(policy(obs))
+            start = env.qpos[0].copy(), env.qvel[0].copy()
+        env.step(np.asarray(networks.policy(params, env.observe()[0], bases)[0]))
         targets.append(NOMINAL + go1_env.ACTION_SCALE * env.state.action[0])
-    return qpos, qvel, targets[50:]
+    return *start, targets[50:]
 
 
 @pytest.mark.parametrize("motion", [random_targets, policy_targets])
 def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground(motion):
-    """Over one second on its feet: motors = kinetic + potential energy + contacts. No joint is
-    damped.
+    """A second on its feet. Nothing but the ground takes energy, because no joint is damped:
 
-    Exact but for what the mass matrix changes within a step: 2 %. With the speed before each step a
-    third is gone.
+    work of motors + work of contacts = gain of kinetic and potential energy
+
+    This is exact but for what the mass matrix changes within a step, 2 %. By the speed before each
+    step a third of the work is gone.
     """
     model = go1.build_model(0.005, None)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
@@ -267,6 +273,6 @@ def test_work_of_the_motors_is_energy_gained_and_energy_lost_to_the_ground(motio
         before += 0.005 * robot.ctrl @ qvel[6:]
         ground += 0.005 * robot.qfrc_constraint @ mean
     mujoco.mj_forward(model, robot)
-    assert model.dof_damping.max() == 0 and ground < -1  # J: nothing but the ground takes energy
+    assert model.dof_damping.max() == 0 and ground < -1  # J
     assert work + ground == pytest.approx(robot.energy.sum() - start, abs=0.02 * work)
     assert before < 0.7 * work

@@ -15,17 +15,20 @@ TOP_SPEED = np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF: hip, thigh, calf
     [(0.5, 0.25, 0.0, 5.0), (0.0, 0.0, 2.0, -1.0), (0.5, 0.25, 2.0, 4.0), (-1.0, 0.5, -4.0, -28.0)],
 )
 def test_pd(target, q, qd, torque):
-    """20 (1/2 - 1/4) = 5; -0.5 * 2 = -1; both 4; 20 (-1 - 1/2) + 0.5 * 4 = -28, beyond the limit
-    and not cut here.
+    """The last one is beyond the limit, and is not cut here:
+
+    20 (1/2 - 1/4)           =   5
+    -0.5 * 2                 =  -1
+    both                     =   4
+    20 (-1 - 1/2) + 0.5 * 4  = -28
     """
     assert go1.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
 
 
 def test_motor_model():
-    """D11: 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
-    assert go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0)) == pytest.approx(
-        np.full(12, 3.0)
-    )
+    """D11. 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
+    torque = go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0))
+    assert torque == pytest.approx(np.full(12, 3.0))
 
 
 @pytest.mark.parametrize(
@@ -33,9 +36,7 @@ def test_motor_model():
     [(0, 33.0), (0.5, 16.5), (1, 0.0), (2, 0.0), (-0.5, 16.5), (-1, 0.0), (-2, 0.0)],
 )
 def test_torque_speed_limit(speed, limit):
-    """qd = speed * qd_max: 33 (1 - |speed|), by |qd|, and D7: 0 beyond qd_max, where the printed
-    one is -33.
-    """
+    """qd = speed * qd_max: 33 (1 - |speed|). D7: 0 beyond qd_max, where the printed one is -33."""
     assert go1.torque_speed_limit(speed * TOP_SPEED) == pytest.approx([limit] * 12, rel=1e-14)
 
 
@@ -60,15 +61,17 @@ def test_torque_speed_limit_takes_the_speed_of_each_joint():
     ],
 )
 def test_limit_of_both_tables(sign, speed, torque_speed, hip, calf):
-    """By default the URDF's torques hold at any speed. With V-D the smaller one: min(33, 23.7) and
-    min(33, 35.55);
+    """By default the URDF's torques hold at any speed. With V-D it is the smaller one, for hip and
+    calf:
 
-    33 * 3/4 = 24.75 above 23.7; 33/2; D7: 0, not +-33.
+    at rest         min(33, 23.7)       min(33, 35.55)
+    at 1/4          min(24.75, 23.7)    24.75
+    at 1/2          16.5                16.5
+    at 2            0, not +-33 (D7)
     """
-    limited = go1.limit_torque(np.full(12, sign * 100.0), speed * TOP_SPEED, torque_speed)
-    assert limited == pytest.approx([sign * hip, sign * hip, sign * calf] * 4, rel=1e-14)
-    if not torque_speed:
-        assert (go1.limit_torque(np.full(12, sign * 100.0), speed * TOP_SPEED) == limited).all()
+    asked, expected = np.full(12, sign * 100.0), np.tile([hip, hip, calf], 4)
+    limited = go1.limit_torque(asked, speed * TOP_SPEED, torque_speed)
+    assert limited == pytest.approx(sign * expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("torque_speed", [False, True])
@@ -79,7 +82,7 @@ def test_small_torques_pass(torque_speed):
 
 
 def test_motors_of_any_leading_shape():
-    """The environments step as one array: an entry of the result must not depend on the others."""
+    """The environments step as one array, so an entry of the result must not depend on others."""
     target, q, qd = np.random.default_rng(0).normal(size=(3, 2, 5, 12)) * 10
     torque = go1.limit_torque(go1.pd_torque(target, q, qd), qd, torque_speed=True)
     assert torque.shape == (2, 5, 12)
