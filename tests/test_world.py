@@ -531,7 +531,10 @@ def test_two_environments_may_share_their_commands():
     """
     commands, cfg = tasks.Grid(), tasks.task_config("curriculum", **QUIET, command_steps=1)
     pair = [go1_env.Go1Env(4, cfg, 1, commands) for _ in range(2)]
-    follow(pair[0], 5.0, (20, 5), weight=1.0)  # which nobody follows
+    for env in pair:
+        env.reset(0)
+    for env in pair:
+        follow(env, 5.0, (20, 5), weight=1.0)  # nobody follows a command of 5
     for env in pair:
         still(env)
         assert env.state.command_weights is commands.weights
