@@ -44,13 +44,13 @@ def run_path(options, env_cfg, cfg):
     return Path(options.out or f"runs/{name}")
 
 
-def resumed_settings(folder, given):
+def resumed_settings(folder, given, processes):
     """Both Configs and JAX's threads of the run in folder, with more iterations if given.
 
     given: the fields of both Configs that the command line sets. ValueError if the run has others.
     """
     env_cfg, cfg, threads, was = run_folder.load_settings(folder / "checkpoint.npz")
-    if was != jax.process_count():
+    if was != processes:
         raise ValueError(f"{folder} is a run on {was} process(es): --resume needs as many")
     for name, x in given.items():
         has = (asdict(env_cfg) | asdict(cfg))[name]
@@ -60,11 +60,15 @@ def resumed_settings(folder, given):
     return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
 
 
-def pin_jax_threads(threads):
-    """Let JAX use as many threads as when the run began: its last digits depend on their number."""
-    now = os.environ.setdefault(run_folder.JAX_THREADS, threads)
-    if now != threads:
-        what = f"{run_folder.JAX_THREADS} is {now} but was {threads} when this run began"
+def pin_jax_threads(began_with):
+    """Let JAX use as many threads as when the run began: its last digits depend on their number.
+
+    began_with: text, or None for a new run. JAX reads it once, before it computes anything.
+    """
+    name = run_folder.JAX_THREADS
+    now = os.environ.setdefault(name, began_with or str(go1_env.CORES))
+    if began_with and now != began_with:
+        what = f"{name} is {now} but was {began_with} when this run began"
         print(f"train.py: {what}, so last digits will differ", file=sys.stderr)
 
 
@@ -126,9 +130,8 @@ def sync_stop_and_curriculum(stop_requested, weights, before):
     return bool(requests.any())
 
 
-def train(folder, env_cfg, cfg, options, resumed_threads, command):
+def train(folder, env_cfg, cfg, options, command):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
-    pin_jax_threads(resumed_threads or str(go1_env.CORES))
     envs = make_envs(env_cfg, cfg, options.threads)
     shared = envs if jax.process_count() == 1 else [parallel.Shared(env) for env in envs]
     start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
@@ -175,20 +178,22 @@ def main(argv):
     meeting = (options.coordinator, options.processes, options.process)
     try:
         env_cfg, cfg = settle(given_env, given_learner)
+        folder, threads = run_path(options, env_cfg, cfg), None
+        if options.resume:
+            given = given_env | given_learner
+            env_cfg, cfg, threads = resumed_settings(folder, given, options.processes or 1)
+        elif (folder / "checkpoint.npz").exists():
+            raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
         check_world(env_cfg)
         check_learner(cfg, options.processes or 1)
+        pin_jax_threads(threads)
         if meeting != (None, None, None):
             parallel.join(*meeting)
             check_same_flags(given_env, given_learner, options.resume, options.checkpoint_every)
-        folder, threads = run_path(options, env_cfg, cfg), None
-        if options.resume:
-            env_cfg, cfg, threads = resumed_settings(folder, given_env | given_learner)
-        elif is_main and (folder / "checkpoint.npz").exists():
-            raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
         if is_main:
             folder.mkdir(parents=True, exist_ok=True)
         with run_folder.lock(folder) if is_main else nullcontext():
-            stopped = train(folder, env_cfg, cfg, options, threads, command)
+            stopped = train(folder, env_cfg, cfg, options, command)
     except (ValueError, OSError, jax.errors.JaxRuntimeError) as error:
         print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         if jax.distributed.is_initialized():

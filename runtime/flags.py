@@ -127,6 +127,7 @@ def check_world(env_cfg):
 def check_learner(cfg, processes=1):
     """Raise ValueError for an eipo.Config that would train nonsense without a word."""
     policies = 2 if cfg.algo == "eipo" else 1
+    samples = cfg.num_steps * cfg.num_envs // policies
     units = cfg.hidden + cfg.hidden_estimator
     for wrong, why in (
         (cfg.algo == "ppo" and not cfg.lam >= 0, f"lam is {cfg.lam}: it must not be negative"),
@@ -152,8 +153,13 @@ def check_learner(cfg, processes=1):
             f"shares, so it must be a multiple of {policies * processes}",
         ),
         (
-            cfg.num_steps * cfg.num_envs // policies < cfg.num_minibatches,
+            samples < cfg.num_minibatches,
             "num_steps * num_envs gives each policy fewer samples than num_minibatches",
+        ),
+        (
+            samples // cfg.num_minibatches % processes,
+            f"a minibatch of {samples // cfg.num_minibatches} samples has no equal shares for "
+            f"{processes} processes",
         ),
     ):
         if wrong:

@@ -172,7 +172,7 @@ def save_checkpoint(path, state, envs, cfg):
 
 def load_settings(path):
     """Both Configs of a checkpoint, how many threads JAX had, and how many processes there were."""
-    arrays = parallel.gather({} if jax.process_index() else read_npz(path))[0]
+    arrays = read_npz(path)
     with reading(path):
         record = json.loads(str(arrays["settings"]))
         return *to_configs(record), record["jax_threads"], record["processes"]
@@ -181,10 +181,10 @@ def load_settings(path):
 def load_checkpoint(path, template, envs):
     """The State in a checkpoint, of the same shape as template; envs are restored in place.
 
-    Of several processes all call this, the first one reads, and each restores its environments.
+    Of several processes each reads it, and restores its own environments.
     """
     process = jax.process_index()
-    arrays = parallel.gather({} if process else read_npz(path))[0]
+    arrays = read_npz(path)
 
     def restore(key, like):
         found = arrays["state" + jax.tree_util.keystr(key)]

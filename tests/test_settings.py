@@ -9,7 +9,6 @@ from support import ROOT, error_of
 
 import eipo
 import evaluate
-import rewards
 import tasks
 import train
 from runtime import flags
@@ -74,7 +73,7 @@ def test_alpha_takes_longer_steps_where_lambda_0_is_large():
 @pytest.fixture
 def shown(capsys, monkeypatch):
     """What -h shows, with a fifth task whose author has not said what it is."""
-    monkeypatch.setitem(tasks.TASKS, "fifth", tasks.Task(rewards.flat, {}, {}))
+    monkeypatch.setitem(tasks.TASKS, "fifth", tasks.TASKS["flat"]._replace(about=""))
     with pytest.raises(SystemExit, match="0"):
         parse(["-h"])
     return capsys.readouterr().out
