@@ -24,9 +24,12 @@ class Log:
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
         self.first, self.shown = None, -EVERY
-        lines = self.path.read_bytes().splitlines(True) if self.path.exists() else []
-        kept = lines[: done + 1] if done else []
-        run_folder.replace_file(self.path, lambda file: file.writelines(kept))
+        with run_folder.reading(self.path):
+            lines = self.path.read_text().splitlines(True) if done and self.path.exists() else []
+        # another version may have had other columns
+        self.names = next(csv.reader(lines), None)
+        kept = "".join(lines[: done + 1])
+        run_folder.replace_file(self.path, lambda file: file.write(kept.encode()))
 
     def add(self, iteration, metrics):
         """Write one row and show it. Its time counts from the last start or resumption."""
@@ -35,7 +38,9 @@ class Log:
         clock = dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
         row = dict(iteration=iteration) | metrics | clock
         with open(self.path, "a", newline="") as file:
-            writer = csv.DictWriter(file, row, lineterminator="\n")
+            self.names = self.names or list(row)
+            names = dict(fieldnames=self.names, restval="nan", extrasaction="ignore")
+            writer = csv.DictWriter(file, **names, lineterminator="\n")
             if file.tell() == 0:
                 writer.writeheader()
             writer.writerow(row)

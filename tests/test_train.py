@@ -338,6 +338,14 @@ def test_metrics_are_read_as_columns(tmp_path):
         metrics.read(tmp_path)
 
 
+def test_rows_of_another_version_keep_their_columns(tmp_path):
+    (tmp_path / "metrics.csv").write_text("iteration,old,steps\n1,0.5,4\n2,0.5,8\n")
+    metrics.Log(tmp_path, 1, 600).add(2, NUMBERS | dict(steps=8, new=3))
+    columns = metrics.read(tmp_path)
+    assert set(columns) == {"iteration", "old", "steps"}
+    assert columns["steps"].tolist() == [4, 8] and np.isnan(columns["old"][1])
+
+
 def test_rows_that_are_lost_are_no_reason_to_stop(copied):
     (copied / "metrics.csv").unlink()
     resume(copied, "--iterations", 21)
