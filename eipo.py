@@ -35,12 +35,12 @@ class Config(PPOConfig):
     """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
     algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
-    lam: float = 0.005  # [V-A] lambda_0; alpha starts at 1 / lam. PPO: of Eq. (10), 0: no energy
+    lam: float = 0.005  # [V-A] EIPO: lambda_0, alpha starts at 1 / lam; PPO: lambda of Eq. (2)
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
-    num_envs: int = 256  # [ours] environments in all, of which EIPO gives each policy half
+    num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
     num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
-    lr_alpha: float = 0.01  # [IV-C] eta_alpha; two tasks have a longer one (D38)
+    lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha; larger on two tasks (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
     dampening_alpha: float = 0.0  # [ours] gradients count 1 less this; 0.99: momentum is a mean

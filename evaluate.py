@@ -24,7 +24,6 @@ import go1_env
 import networks
 import tasks
 from runtime import policy_file
-from runtime.flags import check_world
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
@@ -88,7 +87,6 @@ def load(folder, num_episodes, clip=None, roughness=None, nominal=False, world=g
     """
     params, env_cfg = policy_file.load(Path(folder) / "policy.npz")
     env_cfg = evaluated(env_cfg, clip, roughness, nominal)
-    check_world(num_episodes, env_cfg, None)
     return deterministic(params), world(num_episodes, env_cfg)
 
 

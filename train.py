@@ -9,17 +9,17 @@ with the same bits as one that was never stopped.
 import json
 import os
 import shlex
+import signal
 import sys
 from contextlib import nullcontext
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from runtime.interrupt import leave, say, stop_at_boundary, stop_imports
-
 if __name__ == "__main__":
-    # training draws no robot, so what MuJoCo would draw with need not work
-    os.environ["MUJOCO_GL"] = "off"
-    stop_imports()
+    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so nothing that draws needs to work
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        # until there is something to save, Ctrl-C ends the process at once: imports take seconds
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import jax
 import numpy as np
@@ -29,23 +29,10 @@ import go1_env
 import networks
 import tasks
 from runtime import metrics, parallel, policy_file, run_folder
-from runtime.flags import CONFIGS, Options, check_learner, check_world, parse, settle, tuples
+from runtime.flags import Options, check_learner, check_world, parse, settle
+from runtime.interrupt import StopRequest, say
 
-# [ours] training ends with an error after so many iterations without one finite gradient
-GIVE_UP = 10
-
-
-def settle_resumed(folder, given_env, given_learner):
-    """The Configs of the run in folder, with iterations if given. ValueError for other changes."""
-    env_cfg, cfg = run_folder.load_config(folder)
-    for name, x in (given_env | given_learner).items():
-        was = (asdict(env_cfg) | asdict(cfg))[name]
-        if x != was and not (name == "iterations" and x > was):
-            flag = "--" + name.replace("_", "-")
-            raise ValueError(
-                f"{folder} runs with {flag} {was}, not {x}: --resume can only raise --iterations"
-            )
-    return env_cfg, replace(cfg, iterations=given_learner.get("iterations", cfg.iterations))
+GIVE_UP = 10  # [ours] iterations without one finite gradient, after which training ends
 
 
 def run_path(options, env_cfg, cfg):
@@ -53,78 +40,44 @@ def run_path(options, env_cfg, cfg):
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
     usual = tasks.TASKS[env_cfg.task].learner.get("num_envs", eipo.Config.num_envs)
     variant += f"-{cfg.num_envs}envs" if cfg.num_envs != usual else ""
-    return Path(
-        options.out or f"runs/{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
-    )
+    name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
+    return Path(options.out or f"runs/{name}")
 
 
-def prepare(options, given_env, given_learner):
-    """Check what is given against itself and the run folder. Returns folder and both Configs."""
-    if options.checkpoint_every < 1:
-        raise ValueError(f"checkpoint_every is {options.checkpoint_every}: it must be at least 1")
-    env_cfg, cfg = settle(given_env, given_learner)
-    folder = run_path(options, env_cfg, cfg)
-    if options.resume and options.process:
-        return folder, env_cfg, cfg  # process 0 tells what the folder holds
-    if options.resume:
-        if not (folder / "checkpoint.npz").exists():
-            raise ValueError(
-                f"{folder} holds no checkpoint to resume: check --out, or start there "
-                "without --resume"
-            )
-        env_cfg, cfg = settle_resumed(folder, given_env, given_learner)
-    check_learner(cfg, max(1, options.processes or 1))
-    check_world(cfg.num_envs, env_cfg, options.threads)
-    return folder, env_cfg, cfg
+def resumed_settings(folder, given, processes):
+    """Both Configs and JAX's threads of the run in folder, with more iterations if given.
 
-
-def agree(options, env_cfg, cfg):
-    """Both Configs of process 0, for all processes. ValueError if one has other flags."""
-    mine = dict(resume=options.resume, checkpoint_every=options.checkpoint_every)
-    mine |= asdict(env_cfg) | asdict(cfg)
-    flags_of_each = parallel.gather(dict(flags=json.dumps(mine)))
-    first, *others = (json.loads(str(own["flags"])) for own in flags_of_each)
-    for process, other in enumerate(others, 1):
-        for name, x in first.items():
-            # then process 0 read all others
-            resumed = options.resume and name not in ("resume", "checkpoint_every")
-            if other[name] != x and not resumed:
-                flag = "--" + name.replace("_", "-")
-                raise ValueError(
-                    f"process {process} has {flag} {other[name]}, not {x}: give all the same flags"
-                )
-    records = [{f.name: first[f.name] for f in fields(config)} for config in CONFIGS[1:]]
-    return [config(**tuples(x)) for config, x in zip(CONFIGS[1:], records, strict=True)]
-
-
-def repeat_arithmetic(threads):
-    """Make JAX compute the same bits again: in float32, with as many threads as before.
-
-    The last digit of a matrix product depends on the number of JAX's threads, whatever the number
-    of cores.
+    given: the fields of both Configs that the command line sets. ValueError if the run has others.
     """
-    jax.config.update("jax_enable_x64", False)  # whatever JAX_ENABLE_X64 says
+    env_cfg, cfg, threads, was = run_folder.load_settings(folder / "checkpoint.npz")
+    if was != processes:
+        raise ValueError(f"{folder} is a run on {was} process(es): --resume needs as many")
+    for name, x in given.items():
+        has = (asdict(env_cfg) | asdict(cfg))[name]
+        if x != has and not (name == "iterations" and x > has):
+            flag = "--" + name.replace("_", "-")
+            raise ValueError(f"{folder} runs with {flag} {has}: --resume can only raise iterations")
+    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
+
+
+def pin_jax_threads(began_with):
+    """Let JAX use as many threads as when the run began: its last digits depend on their number.
+
+    began_with: text, or None for a new run. JAX reads it once, before it computes anything.
+    """
     name = run_folder.JAX_THREADS
-    cores = str(go1_env.CORES)
-    now = os.environ.setdefault(name, threads or cores)
-    if threads and now != threads:
-        say(
-            f"{name} is {now} but was {threads} when this run began: last digits will differ",
-            sys.stderr,
-        )
-    elif threads and now != cores:
-        say(
-            f"JAX keeps its {now} threads, for the same bits; {name}={cores} is one for each core",
-            sys.stderr,
-        )
+    now = os.environ.setdefault(name, began_with or str(go1_env.CORES))
+    if began_with and now != began_with:
+        what = f"{name} is {now} but was {began_with} when this run began"
+        print(f"train.py: {what}, so last digits will differ", file=sys.stderr)
 
 
-def save(folder, state, envs, cfg, params):
-    """Write checkpoint, policy and pictures into the run folder; params: of pi as plain MLPs."""
-    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
-    if jax.process_index() == 0:
-        policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
-        metrics.draw(folder, getattr(envs[0].commands, "weights", None))
+def make_envs(env_cfg, cfg, threads):
+    """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
+    policies = 2 if cfg.algo == "eipo" else 1
+    share = cfg.num_envs // policies // jax.process_count()
+    commands = tasks.TASKS[env_cfg.task].commands()  # of both, so that J(pi) and J(pi') compare
+    return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
 def check_learned(state, cfg):
@@ -142,79 +95,72 @@ def check_learned(state, cfg):
             )
 
 
-def meet(asked, weights, before):
+def save(folder, state, envs, cfg, is_last):
+    """Write checkpoint, policy and pictures into the run folder; at the end pi_prime's policy."""
+    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
+    if jax.process_index():
+        return
+    learners = dict(policy=state.pi)
+    if state.pi_prime and is_last:  # the rival, with which one compares pi, Eq. (3)
+        learners |= dict(policy_prime=state.pi_prime)
+    for name, learner in learners.items():
+        learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
+        params = networks.plain_policy(learner.params, learner.bases)
+        policy_file.save(folder / f"{name}.npz", params, envs[0].env_cfg)
+    metrics.draw(folder, getattr(envs[0].commands, "weights", None))
+
+
+def check_same_flags(*given):
+    """Raise ValueError, on all processes, if they were not started with the same flags."""
+    flags = parallel.gather(dict(flags=json.dumps(given)))
+    for process, theirs in enumerate(flags):
+        if theirs["flags"] != flags[0]["flags"]:
+            raise ValueError(f"process {process} has other flags than process 0")
+
+
+def sync_stop_and_curriculum(stop_requested, weights, before):
     """Whether any process was asked to stop. All get the curriculum of all.
 
-    weights: of this process's curriculum, and as they were `before`, at the last meeting
+    weights: of this process's curriculum, and as they were `before`, at the last iteration's end
     """
     if jax.process_count() == 1:
-        return asked
-    asked, gain = parallel.average((asked, weights - before))
-    before[:] = weights[:] = (before + jax.process_count() * gain).clip(max=1)
-    return bool(asked > 0)
+        return stop_requested
+    requests, gains = parallel.everyone((np.array([stop_requested]), (weights - before)[None]))
+    before[:] = weights[:] = (before + gains.sum(0)).clip(max=1)
+    return bool(requests.any())
 
 
-def make_envs(env_cfg, cfg, threads):
-    """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
-    policies = 2 if cfg.algo == "eipo" else 1
-    share = cfg.num_envs // policies // jax.process_count()
-    commands = tasks.TASKS[env_cfg.task].commands()  # of both, so that J(pi) and J(pi') compare
-    return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
-
-
-def begin(folder, env_cfg, cfg, options):
-    """Both Configs, the environments and the State with which a run starts or goes on."""
-    checkpoint = folder / "checkpoint.npz"
-    lead = not options.process
-    threads = None
-    if checkpoint.exists() and not options.resume and lead:
-        raise ValueError(
-            f"{folder} already holds a run: add --resume to continue it, or choose another --out"
-        )
-    if options.resume and lead:
-        threads = run_folder.check_settings(folder, env_cfg, cfg, options.processes or 1)
-    repeat_arithmetic(threads)
-    env_cfg, cfg = agree(options, env_cfg, cfg)
-    envs = make_envs(env_cfg, cfg, options.threads)
-    state = eipo.init_state(envs[0], envs[1] if len(envs) == 2 else None, cfg)
-    if options.resume:  # the new State tells what to expect
-        state = run_folder.load_checkpoint(checkpoint, state, envs)
-    return env_cfg, cfg, envs, state
-
-
-def train(folder, env_cfg, cfg, options, command, stop):
+def train(folder, env_cfg, cfg, options, command):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
-    lead = not options.process
-    env_cfg, cfg, envs, first_state = begin(folder, env_cfg, cfg, options)
-    if lead:
-        log = metrics.Log(folder, first_state.iteration)
-        first = None
+    envs = make_envs(env_cfg, cfg, options.threads)
+    shared = envs if jax.process_count() == 1 else [parallel.Shared(env) for env in envs]
+    start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
+    if options.resume:
+        start = run_folder.load_checkpoint(folder / "checkpoint.npz", start, envs)
+    arrays = parallel.everywhere(dict(key=start.key, pi=start.pi, pi_prime=start.pi_prime))
+    is_main = jax.process_index() == 0
+    if is_main:
+        log = metrics.Log(folder, start.iteration, cfg.iterations)
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
-        what = f"{folder}: {cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments."
-        say(f"{what} Compiling (once, ~15 s) ...")
+        what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
+        say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     weights = getattr(envs[0].commands, "weights", np.zeros(1))
-    before = weights.copy()
+    weights_before = weights.copy()
+    stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
-    for state, numbers in algorithm(*envs, cfg, first_state):
+    for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
         check_learned(state, cfg)
-        stop.worth_saving = True
+        stop = stop or StopRequest()
+        stopped = sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs
-        numbers = dict(steps=steps) | {name: float(x) for name, x in numbers.items()}
-        asked = meet(stop.asked, weights, before)
-        if lead:
-            row = log.row(state.iteration, numbers)
-            metrics.report(row, first := first or row, cfg.iterations)
-        last = asked or state.iteration == cfg.iterations
-        if last or state.iteration % options.checkpoint_every == 0:
-            if lead:
-                log.sync()
-            save(folder, state, envs, cfg, networks.plain_policy(state.pi.params, state.pi.bases))
-        if state.pi_prime and last and lead:  # the rival, with which one compares pi, Eq. (3)
-            prime = networks.plain_policy(state.pi_prime.params, state.pi_prime.bases)
-            policy_file.save(folder / "policy_prime.npz", prime, envs[1].env_cfg)
-        if asked:
-            break
-    return state.iteration if state.iteration < cfg.iterations else None
+        row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
+        if is_main:
+            log.add(state.iteration, row)
+        is_last = stopped or state.iteration == cfg.iterations
+        if is_last or state.iteration % options.checkpoint_every == 0:
+            save(folder, state, envs, cfg, is_last)
+        if stopped:
+            return state.iteration
 
 
 def command_line(argv):
@@ -228,30 +174,37 @@ def main(argv):
     given_options, given_env, given_learner = parse(argv)
     options = Options(**given_options)
     command = command_line(argv)
-    lead = not options.process
+    is_main = not options.process
     meeting = (options.coordinator, options.processes, options.process)
     try:
-        folder, env_cfg, cfg = prepare(options, given_env, given_learner)
-        with stop_at_boundary(folder) as stop:
-            if meeting != (None, None, None):
-                parallel.join(*meeting)
-            if lead:
-                folder.mkdir(parents=True, exist_ok=True)
-            with run_folder.lock(folder) if lead else nullcontext():
-                stopped = train(folder, env_cfg, cfg, options, command, stop)
-    except (ValueError, OSError) as error:
+        env_cfg, cfg = settle(given_env, given_learner)
+        folder, threads = run_path(options, env_cfg, cfg), None
+        if options.resume:
+            given = given_env | given_learner
+            env_cfg, cfg, threads = resumed_settings(folder, given, options.processes or 1)
+        elif (folder / "checkpoint.npz").exists():
+            raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
+        check_world(env_cfg)
+        check_learner(cfg, options.processes or 1)
+        pin_jax_threads(threads)
+        if meeting != (None, None, None):
+            parallel.join(*meeting)
+            check_same_flags(given_env, given_learner, options.resume, options.checkpoint_every)
+        if is_main:
+            folder.mkdir(parents=True, exist_ok=True)
+        with run_folder.lock(folder) if is_main else nullcontext():
+            stopped = train(folder, env_cfg, cfg, options, command)
+    except (ValueError, OSError, jax.errors.JaxRuntimeError) as error:
+        print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         if jax.distributed.is_initialized():
-            leave(" ".join(str(error).split()))
-        say(f"train.py: {' '.join(str(error).split())}", sys.stderr)
+            os._exit(2)  # Python's own way would wait for the others
         return 2
-    if stopped and lead:
+    if stopped and is_main:
         again = shlex.join([*command, *([] if options.resume else ["--resume"])])
         say(f"\nStopped after iteration {stopped}. Continue with: {again}")
-    elif lead:
-        say(
-            f"\nDone: {folder} holds policy.npz, curves.png and metrics.csv. Look: python "
-            f"play.py {folder}"
-        )
+    elif is_main:
+        what = "policy.npz, curves.png and metrics.csv"
+        say(f"\nDone: {folder} holds {what}. Look: python play.py {folder}")
     return 130 if stopped else 0
 
 

@@ -39,7 +39,6 @@ import networks
 import tasks
 from mirror import make_bases
 from runtime import run_folder
-from runtime.flags import check_world
 
 PLAIN = make_bases(None, go1_env.FRAME_WIDTH, 3, 12)
 STEPS = 50  # control steps of the trace, 1 s
@@ -122,7 +121,6 @@ def load(path):
 
     try:
         env_cfg = tasks.read_config(json.loads(str(arrays["config"])))
-        check_world(1, env_cfg, None)
         params = dict(
             actor=layers("actor"), estimator=layers("estimator"), log_std=arrays["log_std"]
         )
