@@ -26,9 +26,8 @@ import numpy as np
 
 import eipo
 import go1_env
-import networks
 import tasks
-from runtime import metrics, parallel, policy_file, run_folder
+from runtime import deploy, metrics, parallel, run_folder
 from runtime.flags import Options, check_learner, check_world, parse, settle
 from runtime.interrupt import StopRequest, say
 
@@ -105,8 +104,7 @@ def save(folder, state, envs, cfg, is_last):
         learners |= dict(policy_prime=state.pi_prime)
     for name, learner in learners.items():
         learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
-        params = networks.plain_policy(learner.params, learner.bases)
-        policy_file.save(folder / f"{name}.npz", params, envs[0].env_cfg)
+        deploy.write(folder / f"{name}.npz", learner, envs[0].env_cfg, is_last)
     metrics.draw(folder, getattr(envs[0].commands, "weights", None))
 
 

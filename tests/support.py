@@ -20,7 +20,7 @@ import ppo
 import tasks
 from mirror import make_bases
 from networks import Layer
-from runtime import policy_file, run_folder
+from runtime import deploy, run_folder
 
 LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 
@@ -244,14 +244,13 @@ def make_run(folder, task="flat", action=None, **learner):
         if name not in ("iterations", "num_envs")
     }
     cfg = eipo.Config(**dict(hidden=(8,), hidden_estimator=(8,)) | own | learner)
-    sizes = 2 * go1_env.FRAME_WIDTH, 3, 12
-    params = ppo.init_learner(jax.random.key(cfg.seed), sizes, None, 2, cfg).params
+    env = go1_env.Go1Env(1, env_cfg, 1)
+    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, 2, False, cfg.ppo)
     if action is not None:
-        last = params["actor"]["layers"][-1]
-        params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))
+        pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
-    policy_file.save(folder / "policy.npz", params, env_cfg)
+    deploy.write(folder / "policy.npz", pi, env_cfg, last=False)
     return folder
 
 

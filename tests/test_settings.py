@@ -1,11 +1,7 @@
 """Settings: those of the paper, and those that would train nonsense without a word."""
 
-import os
-import subprocess
-import sys
-
 import pytest
-from support import ROOT, error_of
+from support import error_of
 
 import eipo
 import evaluate
@@ -160,13 +156,3 @@ def test_settings_of_ppo_are_checked_as_ppo():
     flags.check_learner(eipo.Config(**few, num_minibatches=3))
     with pytest.raises(ValueError, match="num_minibatches"):
         flags.check_learner(eipo.Config(**few, num_minibatches=4))
-
-
-def test_what_draws_nothing_needs_nothing_to_draw_with():
-    """MuJoCo refuses an unknown MUJOCO_GL when it is imported. evaluate.py draws no robot, so it
-    does not mind. Nor does train.py, see test_two_iterations_fill_the_run_folder.
-    """
-    command = [sys.executable, str(ROOT / "evaluate.py"), "-h"]
-    environment = os.environ | dict(MUJOCO_GL="foo")
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "") and "usage:" in done.stdout
