@@ -9,170 +9,158 @@ results/ keeps. The difference of the means has a 95 % interval over seeds, by W
     undecided  the interval holds 0, or one kind has a single seed and so no interval
 """
 
-from functools import lru_cache
-from pathlib import Path
-from typing import NamedTuple
-
 import numpy as np
 from scipy import stats
 
-import evaluate
-from lab import episodes, record, sweep
-from lab.statistics import iqm
+from lab import record, sweep
+from lab.statistics import NUMBERS
 
-# where the paper claims it | what | by which of NUMBERS | kinds of runs, as TASK/NAME without seed
-CLAIMS = """
-Fig. 2a | EIPO performs better than PPO(0.005) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.005
-Fig. 2a | EIPO performs better than PPO(0) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0
-Fig. 2b | EIPO needs less energy than PPO(0) | J/m
-        flat/flat-eipo-lam0.005 < flat/flat-ppo-lam0
-Fig. 3a | EIPO performs better than PPO(0.005) | performance
-        rough/rough-eipo-lam0.0002 > rough/rough-ppo-lam0.005
-Fig. 3a | EIPO performs better than PPO(0), which fails | performance
-        rough/rough-eipo-lam0.0002 > rough/rough-ppo-lam0
-Fig. 3b | EIPO needs less energy than PPO(0.005) | J/m
-        rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0.005
-Fig. 3b | EIPO needs less energy than PPO(0) | J/m
-        rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0
-Fig. 4 | EIPO performs better than every PPO, so than PPO(0.002) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.002
-Table I | EIPO peaks above PPO(0) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0
-Table I | EIPO peaks above PPO(0.0002) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0002
-Table I | EIPO peaks above PPO(0.01) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.01
-Table I | EIPO peaks above PPO(0.0001) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0001
-Section I | no lambda_0 is too large: EIPO from 0.01 peaks above PPO(0.01) | peak
-        velocity/binding1000-eipo-lam0.01 > velocity/velocity-ppo-lam0.01
-Fig. 5 | EIPO draws no more than the shaped reward | power
-        curriculum/curriculum-eipo-lam0.005 < curriculum/curriculum-ppo-lam0-shaped
-"""
-
-
-TABLE1 = "\n".join(
-    f"Table I | EIPO peaks above PPO({lam:g}) | peak\n"
-    f"velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam{lam:g}"
-    for lam in sweep.LAMBDAS
+FLAT, ROUGH, FAST = (
+    "flat/flat-eipo-lam0.005",
+    "rough/rough-eipo-lam0.0002",
+    "velocity/velocity-eipo-lam0.0002",
 )
+# where the paper claims it, what, by which of NUMBERS, whose runs are (TASK/NAME without a seed),
+# and whether they are above (+1) or below (-1) whose
+CLAIMS = [
+    (
+        "Fig. 2a",
+        "EIPO performs better than PPO(0.005)",
+        "performance",
+        FLAT,
+        1,
+        "flat/flat-ppo-lam0.005",
+    ),
+    ("Fig. 2a", "EIPO performs better than PPO(0)", "performance", FLAT, 1, "flat/flat-ppo-lam0"),
+    ("Fig. 2b", "EIPO needs less energy than PPO(0)", "J/m", FLAT, -1, "flat/flat-ppo-lam0"),
+    (
+        "Fig. 3a",
+        "EIPO performs better than PPO(0.005)",
+        "performance",
+        ROUGH,
+        1,
+        "rough/rough-ppo-lam0.005",
+    ),
+    (
+        "Fig. 3a",
+        "EIPO performs better than PPO(0), which fails",
+        "performance",
+        ROUGH,
+        1,
+        "rough/rough-ppo-lam0",
+    ),
+    (
+        "Fig. 3b",
+        "EIPO needs less energy than PPO(0.005)",
+        "J/m",
+        ROUGH,
+        -1,
+        "rough/rough-ppo-lam0.005",
+    ),
+    ("Fig. 3b", "EIPO needs less energy than PPO(0)", "J/m", ROUGH, -1, "rough/rough-ppo-lam0"),
+    (
+        "Fig. 4",
+        "EIPO performs better than every PPO, so than PPO(0.002)",
+        "performance",
+        FLAT,
+        1,
+        "flat/flat-ppo-lam0.002",
+    ),
+    ("Table I", "EIPO peaks above PPO(0)", "peak", FAST, 1, "velocity/velocity-ppo-lam0"),
+    ("Table I", "EIPO peaks above PPO(0.0002)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.0002"),
+    ("Table I", "EIPO peaks above PPO(0.01)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.01"),
+    ("Table I", "EIPO peaks above PPO(0.0001)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.0001"),
+    (
+        "Section I",
+        "no lambda_0 is too large: EIPO from 0.01 peaks above PPO(0.01)",
+        "peak",
+        "velocity/binding1000-eipo-lam0.01",
+        1,
+        "velocity/velocity-ppo-lam0.01",
+    ),
+    (
+        "Fig. 5",
+        "EIPO draws no more than the shaped reward",
+        "power",
+        "curriculum/curriculum-eipo-lam0.005",
+        -1,
+        "curriculum/curriculum-ppo-lam0-shaped",
+    ),
+]
+TABLE1 = [
+    (
+        "Table I",
+        f"EIPO peaks above PPO({lam:g})",
+        "peak",
+        FAST,
+        1,
+        f"velocity/velocity-ppo-lam{lam:g}",
+    )
+    for lam in sweep.LAMBDAS
+]
+UNITS = {"performance": ("", 4), "power": (" W", 0), "J/m": (" J/m", 0), "peak": (" m/s", 2)}
 
 
-class Claim(NamedTuple):
-    """One claim of the paper: by a number, the runs `ours` are above (>) or below (<) `rivals`."""
-
-    where: str
-    what: str
-    number: str
-    ours: str
-    sign: str
-    rivals: str
-
-
-def claims(text=CLAIMS):
-    """The Claims of a text like CLAIMS."""
-    rows = text.strip().split("\n")
-    for head, kinds in zip(rows[::2], rows[1::2], strict=True):
-        yield Claim(*(x.strip() for x in head.split("|")), *kinds.split())
-
-
-# ---- one number of each seed ----
-
-
-def performance(e):
-    """Task performance [-], Section V-A."""
-    return e["performance"].mean()
-
-
-def power(e):
-    """Power [W] of Eq. (9) without its bonus."""
-    return e["power"].mean()
-
-
-def energy(e):
-    """Energy per metre [J/m], of commands from 0.1 m/s on."""
-    moving = e["asked_v_x"] >= 0.1
-    return evaluate.energy_per_metre(e["power"][moving], e["v_x"][moving])
-
-
-def peak(e):
-    """Peak velocity [m/s]: the interquartile mean, as in Table I."""
-    return iqm(e["peak"])
-
-
-NUMBERS = {
-    "performance": (performance, "", 4),
-    "power": (power, " W", 0),
-    "J/m": (energy, " J/m", 0),
-    "peak": (peak, " m/s", 2),
-}
-
-
-tables = lru_cache(record.groups)  # read once for all claims of a task
-
-
-def seeds(kind, number, results=None):
-    """The number of each seed of a kind, TASK/NAME: a list over the runs NAME-seedN."""
-    task, name = kind.split("/")
-    place = (results or record.RESULTS) / task
-    by_run = tables(place / record.EPISODES)
-    runs = [run for run in by_run if run.removeprefix(f"{name}-seed").isdecimal()]
-    return [NUMBERS[number][0](random_starts(by_run[run], task)) for run in runs]
-
-
-def random_starts(rows, task):
-    """The columns of the episodes with random starts, on the ground of the task's evaluation."""
-    columns = {name: np.array([float(row[name]) for row in rows]) for name in episodes.COLUMNS}
-    roughness = evaluate.ROUGHNESS.get(task, columns["roughness"].max())
-    usual = (columns["start_spread"] > 0) & (columns["roughness"] == roughness)
-    return {name: x[usual] for name, x in columns.items()}
-
-
-# ---- verdicts ----
-
-
-def verdict(ours, rivals, less=False):
+def verdict(ours, rivals, sign):
     """The difference of two means, its 95 % interval, and yes, no or undecided.
 
-    ours, rivals: (n,), (m,) a number of each seed; less: whether ours is claimed to be below
+    ours, rivals: (n,), (m,) a number of each seed; sign: of the difference that is claimed
     """
     difference = np.mean(ours) - np.mean(rivals)
     if min(len(ours), len(rivals)) < 2:
         return difference, (np.nan, np.nan), "undecided"
     low, high = stats.ttest_ind(ours, rivals, equal_var=False).confidence_interval(0.95)
-    if low <= 0 <= high:
-        return difference, (low, high), "undecided"
-    return difference, (low, high), "yes" if (difference < 0) == less else "no"
+    word = "undecided" if low <= 0 <= high else "yes" if sign * difference > 0 else "no"
+    return difference, (low, high), word
 
 
-def lines(text=CLAIMS, results=None):
-    """The lines of the table of a text like CLAIMS."""
+def of_kind(run, name):
+    """Whether the tables have episodes of a run of TASK/NAME."""
+    return run.episodes and run.name.split("-seed")[0] == name.split("/")[1]
+
+
+def lines(claims=CLAIMS, results=record.RESULTS):
+    """Yields the lines of the table of claims, and their tally."""
+    names = {f"{name}-seed*" for claim in claims for name in (claim[3], claim[5])}
+    runs = record.runs(results / name for name in sorted(names))
+    words = []
     yield "| paper | claim | ours | rival | difference [95 %] | seeds | verdict |"
     yield "|---" * 7 + "|"
-    for claim in claims(text):
-        ours, rivals = (seeds(kind, claim.number, results) for kind in (claim.ours, claim.rivals))
-        if not ours or not rivals:
-            missing = claim.rivals if ours else claim.ours
-            raise ValueError(f"{results or record.RESULTS} has no episodes of {missing}-seed*")
-        difference, (low, high), word = verdict(ours, rivals, claim.sign == "<")
-        _, unit, digits = NUMBERS[claim.number]
+    for where, what, number, ours, sign, rivals in claims:
+        task, _ = ours.split("/")
+        ours, rivals = (
+            [NUMBERS[number](record.evaluation(run)) for run in runs if of_kind(run, name)]
+            for name in (ours, rivals)
+        )
+        difference, (low, high), word = verdict(ours, rivals, sign)
+        unit, digits = UNITS[number]
         over = "no interval" if np.isnan(low) else f"{low:+.{digits}f}, {high:+.{digits}f}"
         means = (f"{np.mean(x):.{digits}f}{unit}" for x in (ours, rivals))
-        cells = [f"{claim.where}, {claim.ours.split('/')[0]}", claim.what, *means]
-        cells += [f"{difference:+.{digits}f} [{over}]", f"{len(ours)}, {len(rivals)}", word]
-        yield f"| {' | '.join(cells)} |"
-
-
-def table(which="", path=None):
-    """What `python -m lab claims WHICH` prints; path: of the folder of results, if not ours.
-
-    Raises ValueError if which is not "table1" or "".
-    """
-    if which not in ("", "table1"):
-        raise ValueError(f"claims takes table1 or nothing, not {which}")
-    rows = [*lines(TABLE1 if which else CLAIMS, Path(path) if path else None)]
-    words = [row.split(" | ")[-1].removesuffix(" |") for row in rows[2:]]
+        cells = [f"{where}, {task}", what, *means, f"{difference:+.{digits}f} [{over}]"]
+        yield f"| {' | '.join([*cells, f'{len(ours)}, {len(rivals)}', word])} |"
+        words.append(word)
     tally = ", ".join(f"{words.count(word)} {word}" for word in ("yes", "no", "undecided"))
-    return [*rows, "", f"In all: {tally}."]
+    yield f"\nIn all: {tally}."
+
+
+def table(runs):
+    """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds.
+
+    The score is the peak on velocity, and elsewhere task performance.
+    """
+    yield "| task | kind | seeds | score: mean; each seed | fell | from nominal | power | energy |"
+    yield "|---" * 8 + "|"
+    runs = [run for run in runs if run.episodes]
+    for task in dict.fromkeys(run.settings["task"] for run in runs):
+        score = NUMBERS["peak" if task == "velocity" else "performance"]
+        for kind, seeds in sweep.by_kind(runs, task).items():
+            random = [record.evaluation(run) for run in seeds]
+            nominal = [record.evaluation(run, nominal=True) for run in seeds]
+            each = [score(e) for e in random]
+            shares = (100 * np.mean([e["fell"].mean() for e in x]) for x in (random, nominal))
+            means = (np.mean([NUMBERS[name](e) for e in random]) for name in ("power", "J/m"))
+            cells = [task, kind, str(len(seeds))]
+            cells += [f"{np.mean(each):.3f}; {', '.join(f'{x:.3f}' for x in each)}"]
+            cells += [f"{x:.1f} %" for x in shares]
+            cells += [f"{x:.0f} {unit}" for x, unit in zip(means, ("W", "J/m"), strict=True)]
+            yield f"| {' | '.join(cells)} |"

@@ -9,11 +9,11 @@ which is less than 95 %.
 import numpy as np
 from scipy import stats
 
-from evaluate import interval
+from evaluate import energy_per_metre, interval
 
 
 def iqm(x, axis=None):
-    """Interquartile mean, of the middle half of x. It is blind to what befalls under a quarter."""
+    """Interquartile mean of x. It ignores the lowest and the highest quarter."""
     return stats.trim_mean(x, 0.25, axis=axis)
 
 
@@ -40,3 +40,20 @@ def summarise(name, by_seed, statistic=np.mean):
     over_seeds = interval([seeds], of_seeds, vectorized=False)
     numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
     return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}
+
+
+def energy(e):
+    """Energy per metre [J/m] of a run's episodes, of those that ask for 0.1 m/s or more, if any."""
+    moving = (e["asked_v_x"] >= 0.1) | (e["asked_v_x"].max() == 0)
+    return energy_per_metre(e["power"][moving], e["v_x"][moving])
+
+
+# the number of a run by which runs are compared, of columns of its episodes
+NUMBERS = {
+    "performance": lambda e: e["performance"].mean(),  # [-] Section V-A
+    "fell": lambda e: e["fell"].mean(),  # share of episodes that ended early
+    "v_x": lambda e: e["v_x"].mean(),  # [m/s]
+    "peak": lambda e: iqm(e["peak"]),  # [m/s] as in Table I
+    "power": lambda e: e["power"].mean(),  # [W] Eq. (9) without its bonus
+    "J/m": energy,
+}
