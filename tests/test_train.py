@@ -21,7 +21,6 @@ import evaluate
 import go1_env
 import tasks
 import train
-from lab import sweep
 from runtime import interrupt, metrics, policy_file, run_folder
 
 pytestmark = pytest.mark.usefixtures("one_compilation", "undrawn")
@@ -176,13 +175,12 @@ def test_kill_9_and_resume_equals_a_run_that_was_never_stopped(finished, start, 
     before = contents(tmp_path)
     for flags in ["--resume"], FLAGS:
         assert "another process" in error_of(capsys, train.main, "--out", tmp_path, *flags)
-    assert contents(tmp_path) == before and sweep.running(tmp_path)
+    assert contents(tmp_path) == before
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
     run("--iterations", 20, "--out", tmp_path, "--resume")
     assert rows(tmp_path) == rows(finished)
-    assert not sweep.running(tmp_path) and not sweep.running(tmp_path / "none")
 
 
 def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, start, tmp_path):
