@@ -3,7 +3,8 @@
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff lambdas, as PNG and CSV in --out
     footfalls FOLDER   which foot of a policy.npz is on the ground when, a robot each --command
     table     RUN...   a line for each kind of run
-    claims    [table1] the paper's claims, each with a verdict by rule
+    claims             the paper's claims of runs in --results, each with a verdict by rule
+    promise            pi beside the pi' of its own run, as a table, PNG and CSV
     sweep     FIGURE [FLAG...]  the train.py commands of a figure's runs, one for each of --seeds
     add       FOLDER...  play the policies of run folders and put them into the tables of --results
 
@@ -19,10 +20,10 @@ from pathlib import Path
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-from lab import claims, figures, footfalls, record, sweep
+from lab import claims, figures, footfalls, promise, record, sweep
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "lambdas"
-OTHERS = "footfalls", "table", "claims", "sweep", "add"
+OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
 
 
 def parse(argv):
@@ -36,11 +37,12 @@ def parse(argv):
     parser.add_argument("--results", type=Path, default=record.RESULTS, help="folder of the tables")
     parser.add_argument("--episodes", type=int, default=330, help="to play, per policy and start")
     parser.add_argument("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s")
+    parser.add_argument("--commit", default="", help="that claims and promise are of")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     args, flags = parser.parse_known_args(argv)
     if flags and args.name != "sweep":
         parser.error(f"unrecognized arguments: {' '.join(flags)}")
-    if not args.what and args.name != "claims":
+    if not args.what and args.name not in ("claims", "promise"):
         parser.error(f"{args.name} takes at least one argument")
     return args, flags
 
@@ -49,20 +51,20 @@ def run(args, flags):
     """Do what the command line says."""
     if args.name in FIGURES:
         rows, figure = getattr(figures, args.name)(record.runs(args.what))
-        args.out.mkdir(parents=True, exist_ok=True)
-        record.write(args.out / f"{args.name}.csv", rows)
-        figures.save(args.out / f"{args.name}.png", figure)
+        figures.save(args.out, args.name, figure, rows)
         if args.name == "fig5":
             print(*figures.regions(rows), sep="\n")
+    elif args.name == "promise":
+        arms = claims.counted(args.results, args.commit)
+        rows, figure = promise.promise(arms)
+        figures.save(args.out, args.name, figure, rows)
+        print(*promise.lines(arms), sep="\n")
     elif args.name == "footfalls":
-        figure = footfalls.footfalls(args.what[0], args.command)
-        args.out.mkdir(parents=True, exist_ok=True)
-        figures.save(args.out / "footfalls.png", figure)
+        figures.save(args.out, args.name, footfalls.footfalls(args.what[0], args.command))
     elif args.name == "table":
         print(*claims.table(record.runs(args.what)), sep="\n")
     elif args.name == "claims":
-        which = claims.TABLE1 if args.what == ["table1"] else claims.CLAIMS
-        print(*claims.lines(which, args.results), sep="\n")
+        print(*claims.lines(claims.counted(args.results, args.commit)), sep="\n")
     elif args.name == "sweep":
         print(*sweep.commands(args.what[0], args.seeds, flags), sep="\n")
     else:

@@ -1,146 +1,160 @@
-"""The paper's claims by rule: `python -m lab claims` prints the table of results/README.md, and
-`python -m lab claims table1` that of results/velocity/README.md, with every lambda of Table I.
+"""The paper's claims by the rules of results/rules.md: `python -m lab claims` prints its rows.
 
-Each claim compares two kinds of runs by one number of each seed, computed from the episodes that
-results/ keeps. The difference of the means has a 95 % interval over seeds, by Welch's t. The rule:
-
-    yes        the whole interval is on the side that the paper claims
-    no         the whole interval is on the other side
-    undecided  the interval holds 0, or one kind has a single seed and so no interval
+A row compares two kinds of runs by one number of each seed, from kept episodes. Runs count that
+have a seed from 10 on, and all of them must be of one commit.
 """
 
 import numpy as np
-from scipy import stats
 
 from lab import record, sweep
-from lab.statistics import NUMBERS
+from lab.statistics import NUMBERS, compare, verdict
 
-FLAT, ROUGH, FAST = (
-    "flat/flat-eipo-lam0.005",
-    "rough/rough-eipo-lam0.0002",
-    "velocity/velocity-eipo-lam0.0002",
-)
-# where the paper claims it, what, by which of NUMBERS, whose runs are (TASK/NAME without a seed),
-# and whether they are above (+1) or below (-1) whose
+FIRST_SEED = 10  # earlier ones were seen before the rules were written
+TASKS = "flat", "rough", "velocity"
+# of a difference, or of the log of a ratio
+MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
+DIGITS = {"performance": 4, "peak": 2, "power": 0, "J/m": 0}
+RATIOS = "power", "J/m"
+PPO = [f"PPO({lam:g})" for lam in sweep.LAMBDAS]
+# m/s, what Table I prints for PPO; EIPO has 2.86
+TABLE1 = dict(zip(PPO, (2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37), strict=True))
+ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
+# the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
-    (
-        "Fig. 2a",
-        "EIPO performs better than PPO(0.005)",
-        "performance",
-        FLAT,
-        1,
-        "flat/flat-ppo-lam0.005",
-    ),
-    ("Fig. 2a", "EIPO performs better than PPO(0)", "performance", FLAT, 1, "flat/flat-ppo-lam0"),
-    ("Fig. 2b", "EIPO needs less energy than PPO(0)", "J/m", FLAT, -1, "flat/flat-ppo-lam0"),
-    (
-        "Fig. 3a",
-        "EIPO performs better than PPO(0.005)",
-        "performance",
-        ROUGH,
-        1,
-        "rough/rough-ppo-lam0.005",
-    ),
-    (
-        "Fig. 3a",
-        "EIPO performs better than PPO(0), which fails",
-        "performance",
-        ROUGH,
-        1,
-        "rough/rough-ppo-lam0",
-    ),
-    (
-        "Fig. 3b",
-        "EIPO needs less energy than PPO(0.005)",
-        "J/m",
-        ROUGH,
-        -1,
-        "rough/rough-ppo-lam0.005",
-    ),
-    ("Fig. 3b", "EIPO needs less energy than PPO(0)", "J/m", ROUGH, -1, "rough/rough-ppo-lam0"),
-    (
-        "Fig. 4",
-        "EIPO performs better than every PPO, so than PPO(0.002)",
-        "performance",
-        FLAT,
-        1,
-        "flat/flat-ppo-lam0.002",
-    ),
-    ("Table I", "EIPO peaks above PPO(0)", "peak", FAST, 1, "velocity/velocity-ppo-lam0"),
-    ("Table I", "EIPO peaks above PPO(0.0002)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.0002"),
-    ("Table I", "EIPO peaks above PPO(0.01)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.01"),
-    ("Table I", "EIPO peaks above PPO(0.0001)", "peak", FAST, 1, "velocity/velocity-ppo-lam0.0001"),
-    (
-        "Section I",
-        "no lambda_0 is too large: EIPO from 0.01 peaks above PPO(0.01)",
-        "peak",
-        "velocity/binding1000-eipo-lam0.01",
-        1,
-        "velocity/velocity-ppo-lam0.01",
-    ),
-    (
-        "Fig. 5",
-        "EIPO draws no more than the shaped reward",
-        "power",
-        "curriculum/curriculum-eipo-lam0.005",
-        -1,
-        "curriculum/curriculum-ppo-lam0-shaped",
-    ),
+    (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
+    (2, "flat", "performance", ALL, "EIPO", "PPO(0)", ">"),
+    (3, "flat", "performance", EVERY, "EIPO", "PPO(0.005)", ">"),
+    (3, "flat", "performance", EVERY, "EIPO", "PPO(0)", ">"),
+    (4, "flat", "J/m", ALL, "EIPO", "PPO(0)", "<"),
+    (5, "flat", "J/m", ALL, "PPO(0.005)", "PPO(0)", "<"),
+    (6, "flat", "J/m", ALL, "EIPO", "PPO(0.005)", ">"),
+    (7, "flat", "J/m", (0.1, 0.5), "EIPO", "PPO(0.005)", ">"),
+    (8, "flat", "J/m", (0.6, 1), "EIPO", "PPO(0.005)", "similar"),
+    (9, "flat", "power", ALL, "EIPO", "PPO(0.005)", "similar"),
+    (10, "rough", "performance", (0.5, 1), "EIPO", "PPO(0.005)", ">"),
+    (11, "rough", "performance", EVERY, "EIPO", "PPO(0.005)", "no worse"),
+    (12, "rough", "performance", EVERY, "EIPO", "PPO(0)", "no worse"),
+    (13, "rough", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
+    (14, "rough", "performance", ALL, "EIPO", "PPO(0)", ">"),
+    (15, "rough", "performance", ALL, "PPO(0.005)", "PPO(0)", ">"),
+    (16, "rough", "J/m", ALL, "EIPO", "PPO(0.005)", "<"),
+    (17, "rough", "J/m", ALL, "EIPO", "PPO(0)", "<"),
+    (18, "rough", "power", ALL, "EIPO", "PPO(0.005)", "similar"),
+    *((19, "flat", "performance", ALL, "EIPO", ppo, ">") for ppo in PPO),
+    *((20, "flat", "performance", EVERY, "EIPO", ppo, ">") for ppo in PPO),
+    *((21, "rough", "performance", (0, 0.3), "EIPO", ppo, "similar") for ppo in PPO),
+    *((22, "rough", "performance", (0.4, 1), "EIPO", ppo, ">") for ppo in PPO),
+    *((23, "velocity", "peak", ALL, "EIPO", ppo, ">") for ppo in PPO),
+    *((24, "velocity", "peak", ALL, ppo, "PPO(0)", "<") for ppo in PPO[1:]),
+    (25, "velocity", "power", ALL, "EIPO", "PPO(0)", "similar"),
 ]
-TABLE1 = [
-    (
-        "Table I",
-        f"EIPO peaks above PPO({lam:g})",
-        "peak",
-        FAST,
-        1,
-        f"velocity/velocity-ppo-lam{lam:g}",
-    )
-    for lam in sweep.LAMBDAS
-]
-UNITS = {"performance": ("", 4), "power": (" W", 0), "J/m": (" J/m", 0), "peak": (" m/s", 2)}
 
 
-def verdict(ours, rivals, sign):
-    """The difference of two means, its 95 % interval, and yes, no or undecided.
+def counted(results=record.RESULTS, commit=""):
+    """The runs that count, by task and kind: {task: {kind: {seed: Run}}}.
 
-    ours, rivals: (n,), (m,) a number of each seed; sign: of the difference that is claimed
+    commit: how the commit begins, of which they are. Raises ValueError if they are of several.
     """
-    difference = np.mean(ours) - np.mean(rivals)
-    if min(len(ours), len(rivals)) < 2:
-        return difference, (np.nan, np.nan), "undecided"
-    low, high = stats.ttest_ind(ours, rivals, equal_var=False).confidence_interval(0.95)
-    word = "undecided" if low <= 0 <= high else "yes" if sign * difference > 0 else "no"
-    return difference, (low, high), word
+    places = [results / task for task in TASKS if (results / task / record.RUNS).exists()]
+    runs = [run for run in record.runs(place / "*" for place in places) if run.episodes]
+    runs = [run for run in runs if run.settings["seed"] >= FIRST_SEED]
+    runs = [run for run in runs if run.row["commit"].startswith(commit)]
+    if len(commits := {run.row["commit"] for run in runs}) > 1:
+        raise ValueError(f"no comparison mixes commits: give one of {', '.join(sorted(commits))}")
+    arms = {task: {} for task in TASKS}
+    for run in runs:
+        kinds = arms[run.settings["task"]]
+        kinds.setdefault(sweep.kind(run.settings), {})[run.settings["seed"]] = run
+    return arms
 
 
-def of_kind(run, name):
-    """Whether the tables have episodes of a run of TASK/NAME."""
-    return run.episodes and run.name.split("-seed")[0] == name.split("/")[1]
+def numbers(arm, name, commands=ALL, policy="pi"):
+    """One of NUMBERS of each seed: {seed: number}.
+
+    arm: {seed: Run}; commands: (from, to) [m/s], the commands v_x that count
+    """
+    low, high = commands
+    found = {}
+    for seed, run in arm.items():
+        e = record.evaluation(run, policy)
+        mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
+        if mine.any():
+            found[seed] = NUMBERS[name]({column: x[mine] for column, x in e.items()})
+    return found
 
 
-def lines(claims=CLAIMS, results=record.RESULTS):
-    """Yields the lines of the table of claims, and their tally."""
-    names = {f"{name}-seed*" for claim in claims for name in (claim[3], claim[5])}
-    runs = record.runs(results / name for name in sorted(names))
+def decide(left, right, name, claimed):
+    """The Comparison of two arms {seed: number} and its verdict by the rules."""
+    common = left.keys() & right.keys()
+    if not np.isfinite([arm[seed] for arm in (left, right) for seed in common]).all():
+        return None, "no verdict, a run stands"
+    if (compared := compare(left, right, name in RATIOS)) is None:
+        return None, "not tested"
+    return compared, verdict(compared, claimed, MARGINS[name])
+
+
+def at_every_command(left, right, name, claimed):
+    """The verdict on a claim about each of the eleven commands, and where it is what."""
     words = []
-    yield "| paper | claim | ours | rival | difference [95 %] | seeds | verdict |"
-    yield "|---" * 7 + "|"
-    for where, what, number, ours, sign, rivals in claims:
-        task, _ = ours.split("/")
-        ours, rivals = (
-            [NUMBERS[number](record.evaluation(run)) for run in runs if of_kind(run, name)]
-            for name in (ours, rivals)
+    for v_x in np.arange(11) / 10:
+        sides = (numbers(arm, name, (v_x, v_x)) for arm in (left, right))
+        words.append(decide(*sides, name, claimed)[1].split(",")[0])
+    counts = {word: words.count(word) for word in dict.fromkeys(words)}
+    if "not tested" in counts:
+        return "not tested"
+    whole = "reversed" if "reversed" in counts else "undecided"
+    whole = "holds" if counts == {"holds": 11} else whole
+    return f"{whole} ({', '.join(f'{word} at {n}' for word, n in counts.items())})"
+
+
+def shown(compared, name):
+    """A Comparison as cells: means, difference and its interval, Welch's interval."""
+    digits = DIGITS[name]
+    means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
+    if name in RATIOS:
+        center, *ends = np.exp([compared.difference, *compared.wide, *compared.welch])
+        center, (low, high, *welch) = f"x {center:.2f}", (f"{x:.2f}" for x in ends)
+    else:
+        center, *ends = (
+            f"{x:+.{digits}f}" for x in (compared.difference, *compared.wide, *compared.welch)
         )
-        difference, (low, high), word = verdict(ours, rivals, sign)
-        unit, digits = UNITS[number]
-        over = "no interval" if np.isnan(low) else f"{low:+.{digits}f}, {high:+.{digits}f}"
-        means = (f"{np.mean(x):.{digits}f}{unit}" for x in (ours, rivals))
-        cells = [f"{where}, {task}", what, *means, f"{difference:+.{digits}f} [{over}]"]
-        yield f"| {' | '.join([*cells, f'{len(ours)}, {len(rivals)}', word])} |"
-        words.append(word)
-    tally = ", ".join(f"{words.count(word)} {word}" for word in ("yes", "no", "undecided"))
-    yield f"\nIn all: {tally}."
+        low, high, *welch = ends
+    return means, f"{center} [{low}, {high}]", f"[{', '.join(welch)}]"
+
+
+def printed(number, left, right, compared):
+    """Whether the paper's own difference lies in our interval, where it prints one; as text."""
+    if number not in (23, 24):
+        return ""
+    size = (2.86 if left == "EIPO" else TABLE1[left]) - TABLE1[right]
+    inside = compared.wide[0] <= size <= compared.wide[1]
+    return f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
+
+
+def lines(arms):
+    """Yields the rows of the claims as lines of Markdown; arms: of `counted`."""
+    yield "| no. | what | claimed | seeds | means | difference [95 %] | Welch | verdict |"
+    yield "|---" * 8 + "|"
+    for number, task, name, commands, left, right, claimed in CLAIMS:
+        sides = [arms[task].get(kind, {}) for kind in (left, right)]
+        where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
+        where = "" if commands == ALL else where
+        what = f"{task}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
+        cells = ["", "", "", ""]
+        if commands == EVERY:
+            word = at_every_command(*sides, name, claimed)
+        else:
+            sides = [numbers(arm, name, commands) for arm in sides]
+            compared, word = decide(*sides, name, claimed)
+            if compared:
+                cells = [f"{compared.seeds}", *shown(compared, name)]
+                word += printed(number, left, right, compared)
+                if word.startswith("undecided"):
+                    visible = compared.visible
+                    seen = f"x {np.exp(visible):.2f}" if name in RATIOS else f"{visible:.2g}"
+                    word = word.replace("undecided", f"undecided, would see {seen}")
+        yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
+    yield "\nRows 26 to 31 are not tested: no run of seeds from 10 on is of the curriculum."
 
 
 def table(runs):

@@ -36,12 +36,18 @@ SCORES = dict(
 )
 
 
-def save(path, figure):
-    """Write a PNG. With 128 colours it has a third of the size."""
+def save(out, name, figure, rows=()):
+    """Write name.png and, of rows, name.csv into the folder out.
+
+    The PNG has 128 colours, which makes it a third of the size.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    if rows:
+        record.write(out / f"{name}.csv", rows)
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=150, format="png")
     image = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
-    run_folder.replace_file(path, lambda file: image.save(file, "PNG", optimize=True))
+    run_folder.replace_file(out / f"{name}.png", lambda f: image.save(f, "PNG", optimize=True))
 
 
 # ---- over commands ----

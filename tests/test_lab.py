@@ -36,7 +36,7 @@ def made(run="r", task="flat", speed=None, **columns):
     world = dict(start_spread=0.5, roughness=settings["roughness"][1], torque_clip=0)
     world |= dict.fromkeys(("asked_v_x", "asked_v_y", "asked_yaw"), 0)
     world |= dict.fromkeys(evaluate.Episodes._fields, 0) | dict(policy="pi")
-    e = {x: np.broadcast_to(columns.get(x, y), n) for x, y in world.items()} if n else {}
+    e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
     return record.Run(run, settings, {}, {}, e, speed or {})
 
 
