@@ -35,7 +35,7 @@ def parse(argv):
     parser.add_argument("what", nargs="*", help="runs, folders or a figure, as NAME takes them")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for PNG and CSV")
     parser.add_argument("--results", type=Path, default=record.RESULTS, help="folder of the tables")
-    parser.add_argument("--episodes", type=int, default=330, help="to play, per policy and start")
+    parser.add_argument("--episodes", type=int, help="to play, per policy and kind of start")
     parser.add_argument("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s")
     parser.add_argument("--commit", default="", help="that claims and promise are of")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])

@@ -30,6 +30,8 @@ RESULTS = Path(__file__).parents[1] / "results"
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 SCORES = "performance", "fell", "performance_nominal", "fell_nominal", "v_x", "peak", "power"
 POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
+# to be played of each policy from each kind of start, by results/rules.md and for Figure 5
+NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
 # of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
 
@@ -141,19 +143,21 @@ def evaluation(run, policy="pi", nominal=False):
 # ---- into the tables ----
 
 
-def add(folders, results=RESULTS, num_episodes=330):
+def add(folders, results=RESULTS, num_episodes=None):
     """Play run folders and put them into the tables of their tasks in the folder `results`.
 
-    A run of the same name is replaced.
+    num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name is
+    replaced.
     """
     for folder in map(Path, folders):
         row = run_row(folder)
         task = settings_of(row)["task"]
-        played = list(play(folder, task, num_episodes))
+        n = num_episodes or NUM_EPISODES[task]
+        played = list(play(folder, task, n))
         row |= scores(Run(folder.name, settings_of(row), row, {}, columns(played), {}))
         parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
         if task == "velocity":
-            parts[SPEED] = speed_rows(folder, num_episodes)
+            parts[SPEED] = speed_rows(folder, n)
         (results / task).mkdir(parents=True, exist_ok=True)
         for name, new in parts.items():
             path = results / task / name
@@ -172,7 +176,7 @@ def run_row(folder):
         done = int(read(folder / "metrics.csv")[-1]["iteration"])
         row = dict(run=folder.name, seed=cfg["seed"], iterations=done)
         row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
-        row |= dict.fromkeys(("episodes", *SCORES), "")  # their place
+        row |= dict.fromkeys(("episodes", *SCORES), "")  # `add` fills them in
         row |= {name: first[name] for name in ("command", "commit", "machine")}
         row |= {name: last.get(name, "") for name in ("cpu", "cores")}
         row |= dict(versions=json.dumps(first["versions"]))
