@@ -266,12 +266,12 @@ def test_a_run_that_is_put_in_comes_out(short):
     )
     for run, each, policies in ((eipo_run, 22, ("pi", "prime")), (ppo_run, 11, ("pi",))):
         assert len(run.episodes["fell"]) == 2 * each * len(policies)
-        for policy in policies:
+        for which in policies:
             for nominal in (False, True):
-                e = record.evaluation(run, policy, nominal)
+                e = record.evaluation(run, which, nominal)
                 assert e["asked_v_x"].tolist() == np.repeat(np.arange(11) / 10, each // 11).tolist()
                 assert 0 < e["performance"].mean() < 1.5
-    pi, prime = (record.evaluation(eipo_run, policy)["v_x"] for policy in ("pi", "prime"))
+    pi, prime = (record.evaluation(eipo_run, which)["v_x"] for which in ("pi", "prime"))
     assert pi.tolist() == prime.tolist()  # the same policy from the same starts
     assert float(row["performance"]) == pytest.approx(
         record.evaluation(eipo_run)["performance"].mean(), rel=1e-3
@@ -308,7 +308,7 @@ def test_the_record_can_be_read():
         for file in (record.METRICS, record.EPISODES, record.SPEED):
             assert record.by_run(place / file).keys() <= {run.name for run in runs}
     policies = [*RESULTS.rglob("policy*.npz")]
-    assert len(policies) > 3 and all(policy_file.load(policy) for policy in policies)
+    assert len(policies) > 3 and all(policy_file.load(path) for path in policies)
     files = [path for path in RESULTS.rglob("*") if path.is_file()]
     assert len(files) <= 60 and sum(path.stat().st_size for path in files) < 9e6
 
