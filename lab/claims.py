@@ -1,23 +1,22 @@
 """The paper's claims by the rules of results/rules.md: `python -m lab claims` prints its rows.
 
-A row compares two kinds of runs by one number of each seed, from kept episodes. Runs count
-whose seed is one of the rules, and all of them must be of one commit.
+A row compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
+seed is one of the rules, and all of them must be of one commit.
 """
 
 import numpy as np
 
 from lab import record, sweep
+from lab.figures import TABLE1
 from lab.statistics import NUMBERS, compare, verdict
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
 TASKS = "flat", "rough", "velocity"
-# of a difference, or of the log of a ratio
+# A margin is of a difference, or of the logarithm of a ratio.
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 DIGITS = {"performance": 4, "peak": 2, "power": 0, "J/m": 0}
 RATIOS = "power", "J/m"
-PPO = [f"PPO({lam:g})" for lam in sweep.LAMBDAS]
-# m/s, what Table I prints for PPO; EIPO has 2.86
-TABLE1 = dict(zip(PPO, (2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37), strict=True))
+PPO = sweep.KINDS[1:]
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
 # the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
@@ -126,7 +125,7 @@ def printed(number, left, right, compared):
     """Whether the paper's own difference lies in our interval, where it prints one; as text."""
     if number not in (23, 24):
         return ""
-    size = (2.86 if left == "EIPO" else TABLE1[left]) - TABLE1[right]
+    size = TABLE1[left][0] - TABLE1[right][0]
     inside = compared.wide[0] <= size <= compared.wide[1]
     return f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
 
@@ -149,10 +148,9 @@ def lines(arms):
             if compared:
                 cells = [f"{compared.seeds}", *shown(compared, name)]
                 word += printed(number, left, right, compared)
-                if word.startswith("undecided"):
-                    visible = compared.visible
-                    seen = f"x {np.exp(visible):.2f}" if name in RATIOS else f"{visible:.2g}"
-                    word = word.replace("undecided", f"undecided, would see {seen}")
+                least = compared.visible
+                seen = f"x {np.exp(least):.2f}" if name in RATIOS else f"{least:.2g}"
+                word = word.replace("undecided", f"undecided, would see {seen}")
         yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
     yield "\nRows 26 to 31 are not tested: no run of the curriculum counts."
 

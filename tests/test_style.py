@@ -48,9 +48,10 @@ LAYERS = {
     "lab/statistics": {"numpy", "scipy"},
     "lab/record": {"numpy"},
     "lab/sweep": {"matplotlib"},
-    "lab/claims": {"numpy", "scipy"},
     "lab/figures": {"numpy", "matplotlib", "PIL"},
     "lab/footfalls": {"numpy", "matplotlib"},
+    "lab/claims": {"numpy"},
+    "lab/promise": {"numpy", "matplotlib"},
     "lab/__main__": set(),
 }
 CORE = [
