@@ -29,16 +29,20 @@ OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
 def parse(argv):
     """The arguments of the command line, and the flags that `sweep` hands on to train.py."""
     form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("python -m lab", description=__doc__, formatter_class=form)
+    parser = argparse.ArgumentParser(
+        "python -m lab", description=__doc__, formatter_class=form, allow_abbrev=False
+    )
     parser.error = lambda message: parser.exit(2, f"lab: {message} (-h lists every flag)\n")
     parser.add_argument("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
     parser.add_argument("what", nargs="*", help="runs, folders or a figure, as NAME takes them")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for PNG and CSV")
     parser.add_argument("--results", type=Path, default=record.RESULTS, help="folder of the tables")
     parser.add_argument("--episodes", type=int, help="to play, per policy and kind of start")
-    parser.add_argument("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s")
+    parser.add_argument(
+        "--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s of v_x"
+    )
     parser.add_argument("--commit", default="", help="that claims and promise are of")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of sweep")
     args, flags = parser.parse_known_args(argv)
     if flags and args.name != "sweep":
         parser.error(f"unrecognized arguments: {' '.join(flags)}")
