@@ -18,12 +18,12 @@ from runtime import run_folder
 STEPS = 50  # control steps of the trace, 1 s
 
 
-def of_learner(params, bases, env_cfg):
-    """The Policy of a learner's parameters, without a trace."""
-    plain = networks.plain_policy(params, bases)
-    layers = {net: [(w, np.asarray(b)) for (w,), b in plain[net]] for net in ("actor", "estimator")}
+def of_learner(learner, env_cfg):
+    """The Policy of an eipo.Learner, without a trace."""
+    plain = networks.plain_policy(learner.params, learner.bases)
     return policy.Policy(
-        **layers,
+        actor=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["actor"]],
+        estimator=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["estimator"]],
         log_std=plain["log_std"],
         frame_scale=go1_env.FRAME_SCALE,
         q_nominal=go1.Q_NOMINAL,
@@ -34,11 +34,13 @@ def of_learner(params, bases, env_cfg):
     )
 
 
-def write(path, pi, env_cfg, last):
+def write(path, learner, env_cfg, last):
     """Write policy.npz; last: whether the run ends here, so that the file gets its trace."""
+    pi = of_learner(learner, env_cfg)
     if last:
         pi.trace = trace(pi, env_cfg)
     run_folder.replace_file(path, lambda file: policy.save(file, pi))
+    path.with_name(run_folder.EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
 
 def load(path):
