@@ -119,20 +119,28 @@ def caption(log, command):
 # ---- the policy at work ----
 
 
-def play(env, path, command, follow=False, seed=0):
-    """Run the policy of a policy.npz for ever. Yields the log of each control step.
+def play(env, pi, command, seed=0, follow=None):
+    """Let a Policy drive the robot for ever. Yields the log of each control step.
 
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place
-    follow:  whether to load policy.npz again whenever training has written a new one
     seed:    of friction, payload, heading and ground under the robot
+    follow:  path of a policy.npz; its policy takes over whenever training has written a new one
     """
-    pi = policy.load(path)
-    loaded = path.stat().st_mtime_ns
+    written = follow and follow.stat().st_mtime_ns
     for _, log in deploy.drive(pi, env, command, seed):
-        if follow and path.stat().st_mtime_ns != loaded:
-            loaded, new = path.stat().st_mtime_ns, policy.load(path)
-            pi.actor, pi.estimator = new.actor, new.estimator  # and goes on from what it saw
+        if follow and (now := follow.stat().st_mtime_ns) != written:
+            written, new = now, policy.load(follow)
+            pi.actor, pi.estimator = new.actor, new.estimator  # and it goes on from what pi saw
         yield log
+
+
+def paced(steps, period):
+    """Yields what steps do, but one in each period [s] at most."""
+    start = time.monotonic()
+    for log in steps:
+        yield log
+        time.sleep(max(0.0, start + period - time.monotonic()))
+        start = time.monotonic()
 
 
 def watch(env, steps, command, slow=1.0, forces=False):
@@ -151,14 +159,13 @@ def watch(env, steps, command, slow=1.0, forces=False):
     ) as viewer:
         point(viewer.cam, env, model)
         viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
-        while viewer.is_running():
-            start = time.monotonic()
-            log = next(steps)
+        for log in paced(steps, slow * env.period):
+            if not viewer.is_running():
+                break
             with viewer.lock():
                 show(env, model, data)
             viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
-            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
@@ -210,13 +217,12 @@ def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
     said = [""]
     with launch_web(env, model, command, said, port, host) as handle:
         handle.set_model(model, data=data)
-        while handle.is_running():
-            start = time.monotonic()
-            log = next(steps)
+        for log in paced(steps, slow * env.period):
+            if not handle.is_running():
+                break
             show(env, model, data)
             said[0] = caption(log, command)
             handle.sync()
-            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
 
 
 # ---- a moving picture ----
@@ -236,7 +242,7 @@ def draw(env, steps, seconds, forces=False):
     camera.lookat[2] = data.qpos[2] - 0.08
     pictures, logs = [], []
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for log in islice(steps, round(seconds / env.period)):
+        for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)
             camera.lookat[:2] = data.qpos[:2]
             renderer.update_scene(data, camera, options)
@@ -295,19 +301,21 @@ def parse(argv):
 
 
 def begin(run, args):
-    """The environment of a run, its command, and the iterator of `play` over it."""
+    """The environment of a run, the iterator of `play` over it, and its command."""
     path = Path(run) / "policy.npz"
-    env_cfg = deploy.load(path)[1]
+    pi, env_cfg = deploy.load(path)
     env = make_env(env_cfg, args.roughness)
     command = np.array(args.command or deploy.example(env_cfg.task), float)
-    asked = tasks.TASKS[env_cfg.task].commands()
-    if ((command < asked.low) | (command > asked.high)).any():
+    trained = tasks.TASKS[env_cfg.task].commands()
+    if ((command < trained.low) | (command > trained.high)).any():
         print(f"play.py: {run} never saw this command in training", file=sys.stderr)
-    return env, play(env, path, command, args.follow, args.seed), command
+    return env, play(env, pi, command, args.seed, path if args.follow else None), command
 
 
 def film(args, slow):
     """Draw the GIF of the command line."""
+    if os.environ.get("MUJOCO_GL") == "off":
+        raise ValueError("a GIF needs OpenGL: install libegl1 or libosmesa6")
     robots, captions = [], []
     for run in args.runs:
         env, steps, command = begin(run, args)
@@ -335,10 +343,7 @@ def main(argv):
             watch(*seen, args.slow or 1.0, args.forces)
     except KeyboardInterrupt:
         return 130
-    except (ImportError, AttributeError, mujoco.FatalError) as error:
-        print(f"play.py: OpenGL does not work, install libegl1: {error}", file=sys.stderr)
-        return 2
-    except (ValueError, OSError, RuntimeError, OverflowError) as error:
+    except (ValueError, OSError, RuntimeError, OverflowError, mujoco.FatalError) as error:
         print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0

@@ -66,8 +66,9 @@ def trace(pi, env_cfg):
 
 
 def example(task):
-    """A command (3,) to show a task with: its greatest one, on `curriculum` 1 m/s ahead."""
-    return np.array([min(tasks.TASKS[task].commands().high[0], 1.0), 0.0, 0.0])
+    """A command (3,) to show a task with: its greatest one, of a grid 1 m/s ahead."""
+    commands = tasks.TASKS[task].commands()
+    return np.array([1.0, 0.0, 0.0]) if isinstance(commands, tasks.Grid) else commands.high
 
 
 def drive(pi, env, command, seed=0):
