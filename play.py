@@ -128,10 +128,10 @@ def play(env, pi, command, seed=0, follow=None):
     """
     written = follow and follow.stat().st_mtime_ns
     for _, log in deploy.drive(pi, env, command, seed):
+        yield log
         if follow and (now := follow.stat().st_mtime_ns) != written:
             written, new = now, policy.load(follow)
             pi.actor, pi.estimator = new.actor, new.estimator  # and it goes on from what pi saw
-        yield log
 
 
 def paced(steps, period):
