@@ -8,7 +8,6 @@ import pytest
 from support import error_of, make_run
 
 import evaluate
-import go1_env
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def test_progress_is_for_terminals(folder, monkeypatch, capsys):
         monkeypatch.setattr(sys.stderr, "isatty", lambda shown=shown: shown)
         monkeypatch.setattr(evaluate, "EPISODE_STEPS", 2)
         policy, env = evaluate.load(folder, 1)
-        list(evaluate.steps(policy, env))
+        list(evaluate.play_episode(policy, env))
         said = capsys.readouterr().err
         assert said == ("50% played\x1b[K\r100% played\x1b[K\r" if shown else "")
 
@@ -87,7 +86,7 @@ def test_what_is_no_run_folder_is_one_line(folder, asked, capsys, tmp_path):
     assert evaluate.main([str(folder), str(tmp_path / "bare"), "--episodes", "11"]) == 0
     assert "left out" in capsys.readouterr().err
     Path(tmp_path / "bare" / "policy.npz").write_bytes(b"PK")
-    assert "damaged" in error_of(capsys, evaluate.main, tmp_path / "bare")
+    assert "bare/policy.npz" in error_of(capsys, evaluate.main, tmp_path / "bare")
 
 
 def test_ctrl_c_is_no_traceback(folder, monkeypatch):
@@ -100,13 +99,10 @@ def test_ctrl_c_is_no_traceback(folder, monkeypatch):
     assert evaluate.main([str(folder)]) == 130
 
 
-def test_another_world_can_be_given(folder):
-    """For those who change the robot: it gets the number of episodes and the Config."""
-    made = []
-
-    def world(num_envs, env_cfg):
-        made.append((num_envs, env_cfg.task))
-        return go1_env.Go1Env(num_envs, env_cfg)
-
-    evaluate.load(folder, 3, world=world)
-    assert made == [(3, "rough")]
+def test_prime_is_the_rival(tmp_path, asked, monkeypatch, capsys):
+    """Its file is policy_prime.npz, which PPO does not have."""
+    folder = make_run(tmp_path / "run")
+    assert "policy_prime.npz" in error_of(capsys, evaluate.main, folder, "--prime")
+    (folder / "policy.npz").rename(folder / "policy_prime.npz")
+    assert evaluate.main([str(folder), "--prime", "--episodes", "11"]) == 0
+    assert "policy.npz" in error_of(capsys, evaluate.main, folder)
