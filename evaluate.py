@@ -27,7 +27,6 @@ SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
 COMMANDS = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
-UNITS = dict(v_x="m/s", peak="m/s", power="W", energy="J/m", pitch="degrees", roll="degrees")
 
 
 class Episodes(NamedTuple):
@@ -184,50 +183,39 @@ def interval(x, statistic=np.mean, **options):
     return tuple(np.where(np.isnan(ends), np.inf, ends))
 
 
-def summary(played, nominal, commands):
-    """A dict of means over episodes from random starts or, where a name says so, nominal ones.
-
-    played, nominal: Episodes, equally many of each of commands (n, 3), one after the other.
-        Energy per metre is of the commands to move.
-    """
-    asked = np.repeat(commands[:, 0], len(played.v_x) // len(commands))
-    moving = (asked > 0) | (len(commands) == 1)
-    row = dict(performance=played.performance.mean(), fell=played.fell.mean())
-    row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
-    for name in ("v_x", "peak", "power"):
-        row[name] = finite_mean(getattr(played, name))
-    row["energy"] = float(energy_per_metre(played.power[moving], played.v_x[moving]))
-    for name in ("pitch", "roll"):
-        row[name] = np.abs(getattr(played, name)).mean()
-    if len(commands) > 1:
-        speeds = played.v_x.reshape(len(commands), -1).mean(1)
-        row |= {f"v_x_at_{x:g}": v_x for x, v_x in zip(commands[:, 0], speeds, strict=True)}
-    return row
-
-
 def evaluate(folder, args):
-    """The `summary` of a run folder whose episodes are played now, and the interval of [V-A]."""
+    """Play episodes of a run, and return what `main` prints of it: means, by name and unit."""
     task = deploy.load(folder / policy_name(args.prime))[1].task
     commands = commands_of(task)
-    asked = np.repeat(commands, max(1, args.episodes // len(commands)), 0)
+    each = max(1, args.episodes // len(commands))
+    asked = np.repeat(commands, each, 0)
     roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
     played, nominal = (
         run_episodes(*load(folder, len(asked), args.clip, roughness, nominal, args.prime), asked)
         for nominal in (False, True)
     )
     low, high = interval([played.performance], batch=100)
-    row = summary(played, nominal, commands)
-    row["performance"] = f"{row['performance']:.4g} [{low:.4g}, {high:.4g}]"
-    return dict(run=folder.name) | row
+    moving = (asked[:, 0] > 0) | (len(commands) == 1)
+    row = {
+        "run": folder.name,
+        "performance": f"{played.performance.mean():.4g} [{low:.4g}, {high:.4g}]",
+        "fell": played.fell.mean(),
+        "performance, nominal start": nominal.performance.mean(),
+        "fell, nominal start": nominal.fell.mean(),
+        "v_x [m/s]": played.v_x.mean(),
+        "peak [m/s]": played.peak.mean(),
+        "power [W]": played.power.mean(),
+        "energy [J/m]": float(energy_per_metre(played.power[moving], played.v_x[moving])),
+        "pitch [degrees]": np.abs(played.pitch).mean(),
+        "roll [degrees]": np.abs(played.roll).mean(),
+    }
+    if len(commands) > 1:
+        speeds = played.v_x.reshape(-1, each).mean(1)
+        row |= {f"v_x at {x:g}": v_x for x, v_x in zip(commands[:, 0], speeds, strict=True)}
+    return row
 
 
 # ---- the command ----
-
-
-def with_unit(column):
-    """A column of `summary` with its unit, for a table's head."""
-    unit = UNITS.get(column.split("_at_")[0])
-    return f"{column} [{unit}]" if unit else column
 
 
 def print_rows(rows):
@@ -236,53 +224,28 @@ def print_rows(rows):
     for row in rows:
         if list(row) != head:
             head = list(row)
-            print("|", " | ".join(map(with_unit, head)), "|\n" + "|---" * len(head) + "|")
+            print("|", " | ".join(head), "|\n" + "|---" * len(head) + "|")
         cells = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
         print("|", " | ".join(cells), "|", flush=True)
-
-
-def run_folders(paths, files=("policy.npz",)):
-    """The run folders among paths, which hold one of files; the others are named on stderr.
-
-    Raises ValueError if one does not exist, or if none is left.
-    """
-    paths = [Path(path) for path in paths]
-    if missing := [str(path) for path in paths if not path.exists()]:
-        raise ValueError(f"{missing[0]} does not exist: give run folders, which train.py makes")
-    folders = [path for path in paths if any((path / name).exists() for name in files)]
-    others = ", ".join(str(path) for path in paths if path not in folders)
-    if not folders:
-        raise ValueError(f"nothing to evaluate: there is no folder with a {files[0]} in {others}")
-    if others:
-        print(f"left out, without a {files[0]}: {others}", file=sys.stderr)
-    return folders
-
-
-def add_flags(parser):
-    """The flags that say how episodes are played."""
-    parser.add_argument("--episodes", type=int, default=1000, help="per run (default: 1000)")
-    parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
-    parser.add_argument("--roughness", type=float, help="m (default: of training; rough: 0.15)")
-
-
-def check_flags(args):
-    """Raise ValueError for a number of episodes that cannot be played."""
-    if not 1 <= args.episodes <= 50_000:
-        raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
 
 
 def main(argv):
     """Evaluate and print; returns the exit status."""
     parser = argparse.ArgumentParser(prog="evaluate.py", description=__doc__.split("\n\n")[0])
     parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
-    parser.add_argument("runs", nargs="+", help="run folders with a policy.npz")
-    add_flags(parser)
-    parser.add_argument("--prime", action="store_true", help="pi', EIPO's rival, instead of pi")
+    add = parser.add_argument
+    add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
+    add("--episodes", type=int, default=1000, help="per run (default: 1000)")
+    add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
+    add("--roughness", type=float, help="m (default: of training; rough: 0.15)")
+    add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
+    if not 1 <= args.episodes <= 50_000:
+        parser.error(f"--episodes is {args.episodes}: it must be from 1 to 50000")
     try:
-        check_flags(args)
-        folders = run_folders(args.runs, (policy_name(args.prime),))
-        print_rows(evaluate(folder, args) for folder in folders)
+        for folder in args.runs:
+            deploy.load(folder / policy_name(args.prime))  # says what is wrong before it takes long
+        print_rows(evaluate(folder, args) for folder in args.runs)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:
