@@ -40,7 +40,6 @@ def write(path, learner, env_cfg, last):
     if last:
         pi.trace = trace(pi, env_cfg)
     run_folder.replace_file(path, lambda file: policy.save(file, pi))
-    path.with_name(run_folder.EPISODES).unlink(missing_ok=True)  # they were of the policy before
 
 
 def load(path):
