@@ -42,8 +42,8 @@ BACKSPACE = 259
 SIZE = (480, 270)  # pixels of a GIF, for each run
 COLOURS = 40  # of a GIF, without dithering, which would speckle
 NEWTON = 0.004  # m per newton of the arrows for contact forces
+PINK = (0.9, 0.0, 0.6)  # of these arrows
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
-PINK = (0.9, 0.0, 0.6)  # their colour
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 LEGS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)
 
