@@ -70,6 +70,8 @@ def deterministic(pi):
 
 def evaluation_config(env_cfg, clip=None, roughness=None, nominal=False):
     """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
+    if roughness is None:
+        roughness = ROUGHNESS.get(env_cfg.task)
     return replace(
         env_cfg,
         reward="paper",
@@ -87,9 +89,10 @@ def evaluation_config(env_cfg, clip=None, roughness=None, nominal=False):
 def load(folder, num_episodes, clip=None, roughness=None, nominal=False, prime=False):
     """The `deterministic` policy of a run folder and an environment with a robot for each episode.
 
-    clip, roughness: of Eq. (9), and [m] of the ground; None for either is as in training
-    nominal:         start from the nominal pose at rest, not from random poses as in training
-    prime:           take pi', the rival of a run of EIPO
+    clip:      of Eq. (9); None: as in training
+    roughness: [m] of the ground; None: as in ROUGHNESS or in training
+    nominal:   start from the nominal pose at rest, not from random poses as in training
+    prime:     take pi', the rival in a run of EIPO
     """
     pi, env_cfg = deploy.load(Path(folder) / policy_name(prime))
     env_cfg = evaluation_config(env_cfg, clip, roughness, nominal)
@@ -189,11 +192,9 @@ def evaluate(folder, args):
     commands = commands_of(task)
     each = max(1, args.episodes // len(commands))
     asked = np.repeat(commands, each, 0)
-    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    played, nominal = (
-        run_episodes(*load(folder, len(asked), args.clip, roughness, nominal, args.prime), asked)
-        for nominal in (False, True)
-    )
+    settings = len(asked), args.clip, args.roughness
+    played = run_episodes(*load(folder, *settings, nominal=False, prime=args.prime), asked)
+    nominal = run_episodes(*load(folder, *settings, nominal=True, prime=args.prime), asked)
     low, high = interval([played.performance], batch=100)
     moving = (asked[:, 0] > 0) | (len(commands) == 1)
     row = {
