@@ -7,24 +7,19 @@ starts from the same draws. The paper's figures are drawn by `python -m lab`.
 """
 
 import argparse
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-if __name__ == "__main__":
-    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
-
 import go1_env
-import networks
 import tasks
-from runtime import policy_file
-from runtime.flags import check_world
+from runtime import deploy
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
@@ -32,7 +27,6 @@ SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
 PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
 COMMANDS = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
-UNITS = dict(v_x="m/s", peak="m/s", power="W", energy="J/m", pitch="degrees", roll="degrees")
 
 
 class Episodes(NamedTuple):
@@ -52,19 +46,32 @@ class Episodes(NamedTuple):
 # ---- a policy and a world to try it in ----
 
 
+def mlp(layers, x):
+    """`policy.mlp`, compiled."""
+    for i, (weights, bias) in enumerate(layers):
+        x = (jax.nn.elu(x) if i else x) @ weights + bias
+    return x
+
+
 @jax.jit
-def mean_action(params, obs):
-    """The action (N, 12) [-] for obs (N, D), without exploration noise; params: networks.policy."""
-    return networks.policy(params, obs, policy_file.PLAIN)[0]
+def mean_action(estimator, actor, obs):
+    """The action (N, 12) [-] for obs (N, D), without exploration noise."""
+    return mlp(actor, jnp.concatenate([obs, mlp(estimator, obs)], -1))
 
 
-def deterministic(params):
-    """The policy that is evaluated: a function of obs (N, D) that returns actions (N, 12) [-]."""
-    return lambda obs: np.asarray(mean_action(params, obs))
+def deterministic(pi):
+    """A policy.Policy for many robots: a function of obs (N, D) that returns actions (N, 12) [-].
+
+    Its layers are compiled: for 330 robots NumPy takes three times as long.
+    """
+    layers = jax.tree.map(jnp.asarray, (pi.estimator, pi.actor))
+    return lambda obs: np.asarray(mean_action(*layers, obs))
 
 
-def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
+def evaluation_config(env_cfg, clip=None, roughness=None, nominal=False):
     """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
+    if roughness is None:
+        roughness = ROUGHNESS.get(env_cfg.task)
     return replace(
         env_cfg,
         reward="paper",
@@ -79,23 +86,28 @@ def evaluated(env_cfg, clip=None, roughness=None, nominal=False):
     )
 
 
-def load(folder, num_episodes, clip=None, roughness=None, nominal=False, world=go1_env.Go1Env):
+def load(folder, num_episodes, clip=None, roughness=None, nominal=False, prime=False):
     """The `deterministic` policy of a run folder and an environment with a robot for each episode.
 
-    clip, roughness: of Eq. (9), and [m] of the ground; None for either is as in training
-    nominal:         start from the nominal pose at rest, not from random poses as in training
-    world:           world(num_envs, env_cfg) makes the environment
+    clip:      of Eq. (9); None: as in training
+    roughness: [m] of the ground; None: as in ROUGHNESS or in training
+    nominal:   start from the nominal pose at rest, not from random poses as in training
+    prime:     take pi', the rival in a run of EIPO
     """
-    params, env_cfg = policy_file.load(Path(folder) / "policy.npz")
-    env_cfg = evaluated(env_cfg, clip, roughness, nominal)
-    check_world(num_episodes, env_cfg, None)
-    return deterministic(params), world(num_episodes, env_cfg)
+    pi, env_cfg = deploy.load(Path(folder) / policy_name(prime))
+    env_cfg = evaluation_config(env_cfg, clip, roughness, nominal)
+    return deterministic(pi), go1_env.Go1Env(num_episodes, env_cfg)
+
+
+def policy_name(prime):
+    """The file of pi, or of pi'."""
+    return "policy_prime.npz" if prime else "policy.npz"
 
 
 # ---- episodes ----
 
 
-def steps(policy, env, command=None):
+def play_episode(policy, env, command=None):
     """Play one episode of every robot. Yields of each step: reward, log, who is alive, who falls.
 
     command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; with None the task draws one for each
@@ -111,6 +123,35 @@ def steps(policy, env, command=None):
             print(f"{(t + 1) / limit:.0%} played\x1b[K", end="\r", file=sys.stderr, flush=True)
 
 
+def run_episodes(policy, env, command=None):
+    """The Episodes of all robots of env. Arguments are those of `play_episode`."""
+    rows = [
+        (reward, *(log[name] for name in ("v_x", "power", "pitch", "roll")), alive, falls)
+        for reward, log, alive, falls in play_episode(policy, env, command)
+    ]
+    *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
+    reward, v_x, power, pitch, roll = (np.where(alive, x, 0.0) for x in series)
+    steps, half = len(alive), len(alive) // 2
+    length = alive.sum(0)
+    with np.errstate(invalid="ignore"):  # 0 / 0 where the episode ended before the second half
+        v_x_late = v_x[half:].sum(0) / alive[half:].sum(0)
+    sustained = np.lib.stride_tricks.sliding_window_view(v_x, PEAK_STEPS, 0).mean(-1)
+    return Episodes(
+        performance=reward.sum(0) / steps,
+        fell=falls.any(0),
+        v_x=v_x.sum(0) / length,
+        v_x_late=v_x_late,
+        power=power.sum(0) / length,
+        peak=np.where(alive, v_x, -np.inf).max(0),
+        peak_sustained=np.where(alive[PEAK_STEPS - 1 :], sustained, -np.inf).max(0),
+        pitch=pitch.sum(0) / length,
+        roll=roll.sum(0) / length,
+    )
+
+
+# ---- numbers ----
+
+
 def energy_per_metre(power, v_x, axis=-1):
     """Energy per velocity [J/m] of robots: mean power [W] over mean speed ahead [m/s].
 
@@ -118,35 +159,6 @@ def energy_per_metre(power, v_x, axis=-1):
     """
     power, v_x = np.mean(power, axis), np.mean(v_x, axis)
     return np.where(v_x > SLOW, power / np.maximum(v_x, SLOW), np.inf)
-
-
-def run_episodes(policy, env, command=None):
-    """The Episodes of all robots of env. Arguments are those of `steps`."""
-    n, limit = env.num_envs, env.env_cfg.episode_steps
-    totals = np.zeros((6, n))
-    late = np.zeros((2, n))
-    recent = np.zeros((PEAK_STEPS, n))
-    fell = np.zeros(n, bool)
-    peak, sustained = np.full((2, n), -np.inf)
-    for t, (reward, log, alive, falls) in enumerate(steps(policy, env, command)):
-        v_x = log["v_x"]
-        ones = np.ones(n)
-        totals += np.where(alive, [reward, v_x, log["power"], log["pitch"], log["roll"], ones], 0.0)
-        if t >= limit // 2:
-            late += np.where(alive, [v_x, ones], 0.0)
-        fell |= falls
-        recent[t % PEAK_STEPS] = v_x
-        peak = np.where(alive, np.maximum(peak, v_x), peak)
-        if t + 1 >= PEAK_STEPS:
-            sustained = np.where(alive, np.maximum(sustained, recent.mean(0)), sustained)
-    performance = totals[0] / limit
-    length = totals[-1]
-    v_x, power, pitch, roll = totals[1:-1] / length
-    v_x_late = np.divide(late[0], late[1], out=np.full(n, np.nan), where=late[1] > 0)
-    return Episodes(performance, fell, v_x, v_x_late, power, peak, sustained, pitch, roll)
-
-
-# ---- numbers ----
 
 
 def commands_of(task):
@@ -174,50 +186,37 @@ def interval(x, statistic=np.mean, **options):
     return tuple(np.where(np.isnan(ends), np.inf, ends))
 
 
-def summary(played, nominal, commands):
-    """A dict of means over episodes from random starts or, where a name says so, nominal ones.
-
-    played, nominal: Episodes, equally many of each of commands (n, 3), one after the other.
-        Energy per metre is of the commands to move.
-    """
-    asked = np.repeat(commands[:, 0], len(played.v_x) // len(commands))
-    moving = (asked > 0) | (len(commands) == 1)
-    row = dict(performance=played.performance.mean(), fell=played.fell.mean())
-    row |= dict(performance_nominal=nominal.performance.mean(), fell_nominal=nominal.fell.mean())
-    for name in ("v_x", "peak", "power"):
-        row[name] = finite_mean(getattr(played, name))
-    row["energy"] = float(energy_per_metre(played.power[moving], played.v_x[moving]))
-    for name in ("pitch", "roll"):
-        row[name] = np.abs(getattr(played, name)).mean()
+def evaluate(folder, args):
+    """Play episodes of a run, and return what `main` prints of it: means, by name and unit."""
+    task = deploy.load(folder / policy_name(args.prime))[1].task
+    commands = commands_of(task)
+    each = max(1, args.episodes // len(commands))
+    asked = np.repeat(commands, each, 0)
+    settings = len(asked), args.clip, args.roughness
+    played = run_episodes(*load(folder, *settings, nominal=False, prime=args.prime), asked)
+    nominal = run_episodes(*load(folder, *settings, nominal=True, prime=args.prime), asked)
+    low, high = interval([played.performance], batch=100)
+    moving = (asked[:, 0] > 0) | (len(commands) == 1)
+    row = {
+        "run": folder.name,
+        "performance": f"{played.performance.mean():.4g} [{low:.4g}, {high:.4g}]",
+        "fell": played.fell.mean(),
+        "performance, nominal start": nominal.performance.mean(),
+        "fell, nominal start": nominal.fell.mean(),
+        "v_x [m/s]": played.v_x.mean(),
+        "peak [m/s]": played.peak.mean(),
+        "power [W]": played.power.mean(),
+        "energy [J/m]": float(energy_per_metre(played.power[moving], played.v_x[moving])),
+        "pitch [degrees]": np.abs(played.pitch).mean(),
+        "roll [degrees]": np.abs(played.roll).mean(),
+    }
     if len(commands) > 1:
-        speeds = played.v_x.reshape(len(commands), -1).mean(1)
-        row |= {f"v_x_at_{x:g}": v_x for x, v_x in zip(commands[:, 0], speeds, strict=True)}
+        speeds = played.v_x.reshape(-1, each).mean(1)
+        row |= {f"v_x at {x:g}": v_x for x, v_x in zip(commands[:, 0], speeds, strict=True)}
     return row
 
 
-def evaluate(folder, args):
-    """The `summary` of a run folder whose episodes are played now, and the interval of [V-A]."""
-    task = policy_file.load(folder / "policy.npz")[1].task
-    commands = commands_of(task)
-    each = max(1, args.episodes // len(commands))
-    roughness = ROUGHNESS.get(task) if args.roughness is None else args.roughness
-    asked = np.repeat(commands, each, 0)
-    settings = len(asked), args.clip, roughness
-    played = run_episodes(*load(folder, *settings), asked)
-    nominal = run_episodes(*load(folder, *settings, nominal=True), asked)
-    low, high = interval([played.performance], batch=100)
-    row = summary(played, nominal, commands)
-    row["performance"] = f"{row['performance']:.4g} [{low:.4g}, {high:.4g}]"
-    return dict(run=folder.name) | row
-
-
 # ---- the command ----
-
-
-def with_unit(column):
-    """A column of `summary` with its unit, for a table's head."""
-    unit = UNITS.get(column.split("_at_")[0])
-    return f"{column} [{unit}]" if unit else column
 
 
 def print_rows(rows):
@@ -226,51 +225,28 @@ def print_rows(rows):
     for row in rows:
         if list(row) != head:
             head = list(row)
-            print("|", " | ".join(map(with_unit, head)), "|\n" + "|---" * len(head) + "|")
+            print("|", " | ".join(head), "|\n" + "|---" * len(head) + "|")
         cells = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
         print("|", " | ".join(cells), "|", flush=True)
-
-
-def run_folders(paths, files=("policy.npz",)):
-    """The run folders among paths, which hold one of files; the others are named on stderr.
-
-    Raises ValueError if one does not exist, or if none is left.
-    """
-    paths = [Path(path) for path in paths]
-    if missing := [str(path) for path in paths if not path.exists()]:
-        raise ValueError(f"{missing[0]} does not exist: give run folders, which train.py makes")
-    folders = [path for path in paths if any((path / name).exists() for name in files)]
-    others = ", ".join(str(path) for path in paths if path not in folders)
-    if not folders:
-        raise ValueError(f"nothing to evaluate: there is no folder with a policy.npz in {others}")
-    if others:
-        print(f"left out, without a policy.npz: {others}", file=sys.stderr)
-    return folders
-
-
-def add_flags(parser):
-    """The flags that say how episodes are played."""
-    parser.add_argument("--episodes", type=int, default=1000, help="per run (default: 1000)")
-    parser.add_argument("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
-    parser.add_argument("--roughness", type=float, help="m (default: of training; rough: 0.15)")
-
-
-def check_flags(args):
-    """Raise ValueError for a number of episodes that cannot be played."""
-    if not 1 <= args.episodes <= 50_000:
-        raise ValueError(f"--episodes is {args.episodes}: it must be from 1 to 50000")
 
 
 def main(argv):
     """Evaluate and print; returns the exit status."""
     parser = argparse.ArgumentParser(prog="evaluate.py", description=__doc__.split("\n\n")[0])
     parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
-    parser.add_argument("runs", nargs="+", help="run folders with a policy.npz")
-    add_flags(parser)
+    add = parser.add_argument
+    add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
+    add("--episodes", type=int, default=1000, help="per run (default: 1000)")
+    add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
+    add("--roughness", type=float, help="m (default: of training; rough: 0.15)")
+    add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
+    if not 1 <= args.episodes <= 50_000:
+        parser.error(f"--episodes is {args.episodes}: it must be from 1 to 50000")
     try:
-        check_flags(args)
-        print_rows(evaluate(folder, args) for folder in run_folders(args.runs))
+        for folder in args.runs:
+            deploy.load(folder / policy_name(args.prime))  # says what is wrong before it takes long
+        print_rows(evaluate(folder, args) for folder in args.runs)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

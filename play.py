@@ -1,8 +1,8 @@
 """Look at a policy: `python play.py RUN` opens MuJoCo's viewer.
 
-Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture.
-With --follow the robot gets every new policy that a run saves while it trains. --slow 4 shows it
-four times slower, and --forces draws the forces of the ground on the feet.
+Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture, of
+several runs side by side. With --follow the robot gets every new policy that a run saves while it
+trains. Legs of one colour are diagonal, so they move together in a trot.
 
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
@@ -10,65 +10,52 @@ of yaw rate; backspace sets it to 0. In the browser there are sliders.
 
 import argparse
 import ctypes.util
-import itertools
 import os
 import sys
 import threading
 import time
 import warnings
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
-HEADLESS = sys.platform == "linux" and not (
-    os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-)
-if HEADLESS:  # MuJoCo decides on import how it will draw
-    backends = [name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
-    os.environ.setdefault("MUJOCO_GL", backends[0].lower() if backends else "off")
+DISPLAY = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+if sys.platform == "linux" and ("--gif" in sys.argv or not DISPLAY):
+    # MuJoCo decides on import how it will draw
+    found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
+    os.environ.setdefault("MUJOCO_GL", found[0] if found else "off")
 
-try:
-    import mujoco
-    import mujoco.viewer
-# MuJoCo does not know a value, or lacks its library
-except (RuntimeError, AttributeError, OSError) as error:
-    print(
-        f"play.py: MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not work, so unset it: {error}",
-        file=sys.stderr,
-    )
-    sys.exit(2)
+import mujoco
+import mujoco.viewer
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-import evaluate
 import go1_env
+import policy
 import tasks
 import terrain
-from runtime import policy_file, run_folder
-from runtime.flags import check_world
+from runtime import deploy, run_folder
 
 # up, down, left, right: GLFW's codes
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
-SIZE = (480, 270)  # pixels of a GIF; four seconds on rough ground take 2 MB
-STEPS_PER_FRAME = 3
-COLOURS = 64
-LETTERS = 17  # pixels, height
+SIZE = (480, 270)  # pixels of a GIF, for each run
+COLOURS = 40  # of a GIF, without dithering, which would speckle
 NEWTON = 0.004  # m per newton of the arrows for contact forces
-ORANGE = (255, 115, 0)  # their colour
+PINK = (0.9, 0.0, 0.6)  # of these arrows
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
+ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
+LEGS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)
 
 
-def make_env(env_cfg, roughness=None, world=go1_env.Go1Env):
+def make_env(env_cfg, roughness=None):
     """One robot on one tile, without a time limit, which starts from the nominal pose.
 
-    roughness: [m], or None for the greatest of the run; world(num_envs, env_cfg) makes it
+    roughness: [m], or None for the greatest of the run
     """
     level = env_cfg.roughness[1] if roughness is None else roughness
     changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    changes |= dict(start_spread=0.0)
-    env_cfg = replace(env_cfg, **changes)
-    check_world(1, env_cfg, None)
-    return world(1, env_cfg)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes, start_spread=0.0))
 
 
 # ---- one robot as MuJoCo draws it ----
@@ -82,7 +69,12 @@ def make_scene(env):
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
     model = env.build_model(ground)
     model.vis.map.force = NEWTON
-    model.vis.rgba.contactforce[:3] = np.array(ORANGE) / 255
+    model.vis.rgba.contactforce[:3] = PINK
+    for geom in range(model.ngeom):
+        leg = model.body(model.geom_bodyid[geom]).name[:2]
+        if model.geom_group[geom] == 2 and leg in LEGS:
+            model.geom_matid[geom] = -1
+            model.geom_rgba[geom] = LEGS[leg]
     return model, mujoco.MjData(model)
 
 
@@ -105,45 +97,50 @@ def show(env, model, data):
 
 def point(camera, env, model):
     """Let a camera follow the trunk, from the front right of where the robot heads now."""
-    w, x, y, z = env.qpos[0, 3:7]
     camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     camera.trackbodyid = model.body("trunk").id
-    camera.distance = 1.5
-    camera.elevation = -18.0
-    camera.azimuth = 125.0 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    camera.distance, camera.elevation, camera.azimuth = 1.5, -18.0, heading(env) + 125.0
+
+
+def heading(env):
+    """Where the robot heads [degrees], counted from x to y."""
+    w, x, y, z = env.qpos[0, 3:7]
+    return np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def caption(log, command):
-    """One line that says what the robot is asked to do and what it does."""
-    asked = "  ".join(
-        f"{x:.1f} {unit}"
-        for x, unit in zip(command, ("m/s", "m/s aside", "rad/s"), strict=True)
-        if x
-    )
+    """One line that says what the robot is asked to do and what it does; log: of one robot."""
+    units = ("m/s", "m/s aside", "rad/s")
+    asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, units, strict=True) if x)
     asked = f"asked {asked}   " if asked else ""
-    return f"{asked}v_x {log['v_x'][0]:.1f} m/s   {log['power'][0]:.0f} W"
+    return f"{asked}v_x {np.mean(log['v_x']):.1f} m/s   {np.mean(log['power']):.0f} W"
 
 
 # ---- the policy at work ----
 
 
-def play(env, folder, command, follow=False, seed=0):
-    """Run the policy of a run folder, without noise, for ever. Yields the log of each control step.
+def play(env, pi, command, seed=0, follow=None):
+    """Let a Policy drive the robot for ever. Yields the log of each control step.
 
     command: (3,) [m/s, m/s, rad/s], which the caller may change in place
-    follow:  whether to load policy.npz again whenever training has written a new one
     seed:    of friction, payload, heading and ground under the robot
+    follow:  path of a policy.npz; its policy takes over whenever training has written a new one
     """
-    path = Path(folder) / "policy.npz"
-    loaded = None
-    obs, _ = env.reset(seed, command)
-    while True:
-        if loaded is None or (follow and path.stat().st_mtime_ns != loaded):
-            loaded = path.stat().st_mtime_ns
-            policy = evaluate.deterministic(policy_file.load(path)[0])
-        env.state.command[:] = env.state.given[:] = command
-        obs, _, _, _, info = env.step(policy(obs))
-        yield info["log"]
+    written = follow and follow.stat().st_mtime_ns
+    for _, log in deploy.drive(pi, env, command, seed):
+        yield log
+        if follow and (now := follow.stat().st_mtime_ns) != written:
+            written, new = now, policy.load(follow)
+            pi.actor, pi.estimator = new.actor, new.estimator  # and it goes on from what pi saw
+
+
+def paced(steps, period):
+    """Yields what steps do, but one in each period [s] at most."""
+    start = time.monotonic()
+    for log in steps:
+        yield log
+        time.sleep(max(0.0, start + period - time.monotonic()))
+        start = time.monotonic()
 
 
 def watch(env, steps, command, slow=1.0, forces=False):
@@ -152,20 +149,23 @@ def watch(env, steps, command, slow=1.0, forces=False):
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
+    if sys.platform == "linux":
+        with warnings.catch_warnings(action="ignore"):
+            if not mujoco.viewer.glfw.init():  # the viewer would end the process
+                raise ValueError("no display answers: give --web or --gif FILE")
     model, data = make_scene(env)
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
         point(viewer.cam, env, model)
         viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
-        while viewer.is_running():
-            start = time.monotonic()
-            log = next(steps)
+        for log in paced(steps, slow * env.period):
+            if not viewer.is_running():
+                break
             with viewer.lock():
                 show(env, model, data)
             viewer.set_texts((None, None, caption(log, command), None))
             viewer.sync()
-            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
@@ -181,7 +181,7 @@ def launch_web(env, model, command, said, port, host):
         from mujoco.studio.dear_imgui import dear_imgui as gui
     except ImportError:
         raise ValueError(f"--web needs MuJoCo 4.0, and this is {mujoco.__version__}") from None
-    low, high = tasks.trained(env.env_cfg.task)
+    commands = tasks.TASKS[env.env_cfg.task].commands()
 
     class Viewer(web_viewer.WebViewer):
         _host = property(lambda self: host, lambda self, _: None)  # it would take all interfaces
@@ -193,8 +193,8 @@ def launch_web(env, model, command, said, port, host):
             gui.Begin("command", True, int(gui.WindowFlags.AlwaysAutoResize))
             gui.Text(said[0])
             for i, name in enumerate(("v_x [m/s]", "v_y [m/s]", "yaw rate [rad/s]")):
-                if low[i] < high[i]:
-                    command[i] = gui.SliderFloat(name, command[i], low[i], high[i])[1]
+                if (low := commands.low[i]) < (high := commands.high[i]):
+                    command[i] = gui.SliderFloat(name, command[i], low, high)[1]
             gui.End()
 
     def run(endpoint):
@@ -217,156 +217,133 @@ def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
     said = [""]
     with launch_web(env, model, command, said, port, host) as handle:
         handle.set_model(model, data=data)
-        while handle.is_running():
-            start = time.monotonic()
-            log = next(steps)
+        for log in paced(steps, slow * env.period):
+            if not handle.is_running():
+                break
             show(env, model, data)
             said[0] = caption(log, command)
             handle.sync()
-            time.sleep(max(0.0, slow * env.period - (time.monotonic() - start)))
 
 
-def save_gif(path, env, steps, seconds, command, slow=1.0, forces=False):
-    """Draw `seconds` of steps (an iterator of `play`) into a GIF, after one second unseen.
+# ---- a moving picture ----
 
-    Returns how often the robot fell in them.
+
+def draw(env, steps, seconds, forces=False):
+    """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs.
+
+    The first second is not drawn. The camera moves with the robot, but not up and down with it.
     """
     model, data = make_scene(env)
-    images = []
-    camera = mujoco.MjvCamera()
-    options = mujoco.MjvOption()
-    falls = 0
-    font = ImageFont.load_default(LETTERS)
+    camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
     options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
-    every = max(1, round(STEPS_PER_FRAME / slow))
-    next(itertools.islice(steps, round(1 / env.period) - 1, None))
-    point(camera, env, model)
+    next(islice(steps, round(1 / env.period) - 1, None))
+    show(env, model, data)
+    camera.distance, camera.elevation, camera.azimuth = 1.0, -24.0, heading(env) + 100.0
+    camera.lookat[2] = data.qpos[2] - 0.08
+    pictures, logs = [], []
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
-        for i, log in enumerate(itertools.islice(steps, round(seconds / env.period))):
-            if log["ended_fall"][0]:
-                falls += 1
-                point(camera, env, model)  # the next episode may head elsewhere
-            if i % every:
-                continue
+        for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)
+            camera.lookat[:2] = data.qpos[:2]
             renderer.update_scene(data, camera, options)
-            image = Image.fromarray(renderer.render())
-            ImageDraw.Draw(image).text((10, 6), caption(log, command), (20, 20, 20), font)
-            if not images:  # one palette for all frames is smaller
-                first = image.copy()
-                if forces:  # the palette needs their colour, even if no foot is on the ground yet
-                    ImageDraw.Draw(first).rectangle((0, 0, 30, 30), fill=ORANGE)
-                palette = first.quantize(COLOURS, dither=Image.Dither.NONE)
-            images.append(image.quantize(dither=Image.Dither.NONE, palette=palette))
-    gif = dict(
-        save_all=True,
-        append_images=images[1:],
-        duration=round(1000 * env.period * every * slow),
-        loop=0,
+            # on a height field the ground's own shadows would be specks
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = env.ground is None
+            pictures.append(renderer.render())
+            logs.append(log)
+    return pictures, logs
+
+
+def save_gif(path, pictures, captions, milliseconds):
+    """Write pictures of several robots, (robots, T, height, width, 3), side by side into a GIF.
+
+    captions: of each robot; milliseconds: that each picture lasts
+    """
+    font = ImageFont.load_default(17)
+    images = [Image.fromarray(np.hstack(row)) for row in zip(*pictures, strict=True)]
+    for image in images:
+        for i, text in enumerate(captions):
+            ImageDraw.Draw(image).text((SIZE[0] * i + 10, 6), text, (10, 10, 10), font)
+    # one palette, of pictures from all of it, because colours that change would flicker
+    some = np.vstack(images[:: max(1, len(images) // 8)])
+    palette = Image.fromarray(some).quantize(
+        COLOURS, Image.Quantize.MAXCOVERAGE, 3, dither=Image.Dither.NONE
     )
-    run_folder.replace_file(path, lambda file: images[0].save(file, "GIF", **gif))
-    return falls
+    first, *others = (x.quantize(dither=Image.Dither.NONE, palette=palette) for x in images)
+    gif = dict(save_all=True, append_images=others, duration=milliseconds, loop=0)
+    run_folder.replace_file(path, lambda file: first.save(file, "GIF", **gif))
 
 
-def check_drawing(gif):
-    """Raise ValueError or OSError if the file gif, or a window for None, cannot be drawn."""
-    if gif is not None:
-        if Path(gif).suffix.lower() != ".gif":
-            raise ValueError(f"--gif is {gif!r}: it must end in .gif")
-        run_folder.check_writable(Path(gif))
-    if sys.platform == "linux" and (
-        gif is None or os.environ.get("MUJOCO_GL", "").lower() not in ("egl", "osmesa")
-    ):
-        with warnings.catch_warnings(action="ignore"):
-            if not mujoco.viewer.glfw.init():  # the viewer would end the process
-                raise ValueError(
-                    "no display answers: give --gif FILE, with libegl1 and without DISPLAY "
-                    "and MUJOCO_GL"
-                )
+# ---- the command ----
 
 
 def parse(argv):
     """The arguments of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="play.py", description=__doc__.splitlines()[0])
     parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
-    parser.add_argument("run", help="run folder with a policy.npz")
-    parser.add_argument("--gif", metavar="FILE", help="draw into a GIF instead of a window")
-    parser.add_argument(
-        "--web", action="store_true", help="show it in a browser, without a display"
-    )
-    parser.add_argument(
-        "--port", type=int, default=0, help="of --web (default: free, from 8080 on)"
-    )
-    parser.add_argument(
-        "--host", default="127.0.0.1", help="of --web; 0.0.0.0: other machines, too"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the world (default: 0)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of the GIF (default: 4)")
-    asked = dict(
-        type=float,
-        nargs=3,
-        metavar=("VX", "VY", "YAW"),
-        help="m/s, rad/s (default: the task's greatest)",
-    )
-    parser.add_argument("--command", **asked)
-    parser.add_argument(
-        "--roughness", type=float, help="m, of the ground (default: the greatest of the run)"
-    )
-    parser.add_argument(
-        "--slow", type=float, default=1.0, help="show it so many times slower (default: 1)"
-    )
-    parser.add_argument(
-        "--forces", action="store_true", help="draw the forces of the ground on the robot"
-    )
-    parser.add_argument(
-        "--follow", action="store_true", help="load every new policy while training runs"
-    )
-    return parser.parse_args(argv)
+    add = parser.add_argument
+    add("runs", nargs="+", metavar="RUN", help="run folder with a policy.npz; several for a GIF")
+    add("--gif", metavar="FILE", type=Path, help="draw into a GIF instead of a window")
+    add("--web", action="store_true", help="show it in a browser, without a display")
+    add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
+    add("--host", default="127.0.0.1", help="of --web; 0.0.0.0: other machines, too")
+    add("--seed", type=int, default=0, help="of the world (default: 0)")
+    add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
+    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
+    add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
+    add("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
+    add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
+    add("--forces", action="store_true", help="draw the forces of the ground on the robot")
+    add("--follow", action="store_true", help="load every new policy while training runs")
+    args = parser.parse_args(argv)
+    if len(args.runs) > 1 and not args.gif:
+        parser.error("a window or a browser shows one run: give --gif FILE for several")
+    return args
 
 
-def check_numbers(args, command):
-    """Raise ValueError for numbers on the command line that make no sense."""
-    shown = 0.1 <= args.seconds <= 600 and 0.1 <= args.slow <= 100
-    if not (np.abs(command) <= 10).all() or not shown:
-        raise ValueError(
-            "--command takes numbers from -10 to 10, --seconds 0.1 to 600 and --slow 0.1 to 100"
-        )
-    if not 0 <= args.port < 2**16:
-        raise ValueError(f"--port is {args.port}: it must be from 0 to 65535")
-    if args.seed < 0:
-        raise ValueError(f"--seed is {args.seed}: it must be 0 or more")
+def begin(run, args):
+    """The environment of a run, the iterator of `play` over it, and its command."""
+    path = Path(run) / "policy.npz"
+    pi, env_cfg = deploy.load(path)
+    env = make_env(env_cfg, args.roughness)
+    command = np.array(args.command or deploy.example(env_cfg.task), float)
+    trained = tasks.TASKS[env_cfg.task].commands()
+    if ((command < trained.low) | (command > trained.high)).any():
+        print(f"play.py: {run} never saw this command in training", file=sys.stderr)
+    return env, play(env, pi, command, args.seed, path if args.follow else None), command
 
 
-def main(argv, world=go1_env.Go1Env):
-    """Play or draw; returns the exit status. world: see `make_env`."""
+def film(args, slow):
+    """Draw the GIF of the command line."""
+    if os.environ.get("MUJOCO_GL") == "off":
+        raise ValueError("a GIF needs OpenGL: install libegl1 or libosmesa6")
+    robots, captions = [], []
+    for run in args.runs:
+        env, steps, command = begin(run, args)
+        pictures, logs = draw(env, steps, args.seconds, args.forces)
+        mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
+        whose = f"{Path(run).name}\n" if len(args.runs) > 1 else ""
+        captions.append(f"{whose}{caption(mean, command)}   {slow:g} times slower")
+        robots.append(pictures)
+        if mean["ended_fall"]:
+            print(f"play.py: the robot of {run} falls: try --seed", file=sys.stderr)
+    save_gif(args.gif, robots, captions, round(1000 * slow * env.period))
+
+
+def main(argv):
+    """Play or draw; returns the exit status."""
     args = parse(argv)
     try:
-        env_cfg = policy_file.load(Path(args.run) / "policy.npz")[1]
-        env = make_env(env_cfg, args.roughness, world)
-        command = np.array(args.command, float) if args.command else tasks.example(env_cfg.task)
-        check_numbers(args, command)
-        if warning := tasks.untrained(env_cfg.task, command):
-            print(f"play.py: {args.run}: {warning}", file=sys.stderr)
-        if not args.web:
-            check_drawing(args.gif)
-        steps = play(env, args.run, command, args.follow, args.seed)
+        if args.gif:
+            film(args, args.slow or 4.0)
+            return 0
+        seen = begin(args.runs[0], args)
         if args.web:
-            serve(env, steps, command, args.port, args.host, args.slow)
-        elif args.gif is None:
-            watch(env, steps, command, args.slow, args.forces)
+            serve(*seen, args.port, args.host, args.slow or 1.0)
         else:
-            seen = args.seconds, command, args.slow, args.forces
-            if falls := save_gif(Path(args.gif), env, steps, *seen):
-                print(f"play.py: the robot falls {falls} times: try --seed", file=sys.stderr)
+            watch(*seen, args.slow or 1.0, args.forces)
     except KeyboardInterrupt:
         return 130
-    except (ImportError, AttributeError, mujoco.FatalError) as error:
-        print(
-            f"play.py: OpenGL does not work: {error}; install libegl1 or libosmesa6",
-            file=sys.stderr,
-        )
-        return 2
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ValueError, OSError, RuntimeError, OverflowError, mujoco.FatalError) as error:
         print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0

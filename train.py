@@ -26,9 +26,8 @@ import numpy as np
 
 import eipo
 import go1_env
-import networks
 import tasks
-from runtime import metrics, parallel, policy_file, run_folder
+from runtime import deploy, metrics, parallel, run_folder
 from runtime.flags import CONFIGS, Options, check_learner, check_world, parse, settle, tuples
 
 # [ours] training ends with an error after so many iterations without one finite gradient
@@ -119,11 +118,13 @@ def repeat_arithmetic(threads):
         )
 
 
-def save(folder, state, envs, cfg, params):
-    """Write checkpoint, policy and pictures into the run folder; params: of pi as plain MLPs."""
+def save(folder, state, envs, cfg, last):
+    """Write checkpoint, policies and pictures into the run folder; last: whether the run ends."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index() == 0:
-        policy_file.save(folder / "policy.npz", params, envs[0].env_cfg)
+        deploy.write(folder / "policy.npz", state.pi, envs[0].env_cfg, last)
+        if state.pi_prime and last:  # the rival, with which one compares pi, Eq. (3)
+            deploy.write(folder / "policy_prime.npz", state.pi_prime, envs[0].env_cfg, last)
         metrics.draw(folder, getattr(envs[0].commands, "weights", None))
 
 
@@ -208,10 +209,7 @@ def train(folder, env_cfg, cfg, options, command, stop):
         if last or state.iteration % options.checkpoint_every == 0:
             if lead:
                 log.sync()
-            save(folder, state, envs, cfg, networks.plain_policy(state.pi.params, state.pi.bases))
-        if state.pi_prime and last and lead:  # the rival, with which one compares pi, Eq. (3)
-            prime = networks.plain_policy(state.pi_prime.params, state.pi_prime.bases)
-            policy_file.save(folder / "policy_prime.npz", prime, envs[1].env_cfg)
+            save(folder, state, envs, cfg, last)
         if asked:
             break
     return state.iteration if state.iteration < cfg.iterations else None

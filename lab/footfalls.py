@@ -29,13 +29,13 @@ class Watched:
 def watch(policy, env, commands):
     """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool in T physics steps, and speeds (N,) [m/s].
 
-    Arguments are those of `evaluate.steps`. Recording begins when SETTLE has passed.
+    Arguments are those of `evaluate.play_episode`. Recording begins when SETTLE has passed.
     """
     contacts = []
     speeds = []
     env.batch = Watched(env.batch, lambda: contacts.append(env.contacts[:, -4:] > 0))
     first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
-    for i, (_, log, _, _) in enumerate(evaluate.steps(policy, env, commands)):
+    for i, (_, log, _, _) in enumerate(evaluate.play_episode(policy, env, commands)):
         speeds.append(log["v_x"])
         if i + 1 == last:
             break

@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
-from go1_env import Go1Env
 from lab import statistics
-from runtime import policy_file, run_folder
+from runtime import run_folder
 
 RESULTS = Path(__file__).parents[1] / "results"
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
@@ -223,10 +222,8 @@ def play(folder, task, num_episodes):
 
 def load(folder, num_episodes, policy="pi", nominal=False):
     """A policy of a folder, and its environment in the paper's evaluation."""
-    params, env_cfg = policy_file.load(folder / POLICIES[policy])
-    roughness = evaluate.ROUGHNESS.get(env_cfg.task)
-    env_cfg = evaluate.evaluated(env_cfg, roughness=roughness, nominal=nominal)
-    return evaluate.deterministic(params), Go1Env(num_episodes, env_cfg)
+    roughness = evaluate.ROUGHNESS.get(run_folder.load_config(folder)[0].task)
+    return evaluate.load(folder, num_episodes, None, roughness, nominal, policy == "prime")
 
 
 def scores(run):
@@ -243,7 +240,7 @@ def speed_rows(folder, num_episodes):
     start, of each period of the clock, which smooths the strides.
     """
     policy, env = load(folder, num_episodes)
-    log = [np.where(up, log["v_x"], np.nan) for _, log, up, _ in evaluate.steps(policy, env)]
+    log = [np.where(up, log["v_x"], np.nan) for _, log, up, _ in evaluate.play_episode(policy, env)]
     strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
     for steps in np.array_split(np.arange(len(log)), strides):
         time = env.period * (steps.mean() + 0.5)

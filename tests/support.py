@@ -18,15 +18,15 @@ import go1
 import go1_env
 import ppo
 import tasks
+from mirror import make_bases
 from networks import Layer
-from runtime import policy_file, run_folder
+from runtime import deploy, run_folder
 
 LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 
 # ---- the learner ----
 
-# gamma = gae_lambda = 1/2. One Config for all of tests/paper, PPO's as well: JAX compiles each
-# function once
+# gamma = gae_lambda = 1/2. JAX compiles each function once for all of tests/paper
 EIPO = eipo.Config(
     lam=4.0,
     num_envs=32,
@@ -37,22 +37,17 @@ EIPO = eipo.Config(
     target_kl=0.0,
     gamma=0.5,
     gae_lambda=0.5,
-    clip_eps=0.2,
     ent_coef=0.01,
-    max_grad_norm=1.0,
     reward_scale=1.0,
     lr_alpha=1.0,
     momentum_alpha=0.9,
-    clip_alpha=1.0,
-    dampening_alpha=0.0,
-    log_std=0.0,
     hidden=(32,),
     hidden_estimator=(8,),
 )
 
 
 def dyadic(rng, *shape):
-    """Random multiples of 1/8 between -1 and 1: their sums and products are exact in float32."""
+    """Random multiples of 1/8 between -1 and 1. Their sums and products are exact in float32."""
     return (rng.integers(-8, 9, shape) / 8).astype(np.float32)
 
 
@@ -61,18 +56,27 @@ def trees_equal(a, b):
     return jax.tree.all(jax.tree.map(np.array_equal, a, b))
 
 
-def plain(weights, bias=None):
-    """A layer of a plain MLP, without odd coordinates; without a bias, one of zeros."""
-    weights = jnp.array(weights, jnp.float32)
-    return Layer(weights, jnp.zeros((0, 0)), jnp.zeros(weights.shape[1]) if bias is None else bias)
+def plain(weights, bias=0.0):
+    """A layer of a plain MLP: weights (n, m), and the bias of all its units or of each."""
+    weights = np.array(weights, np.float32)
+    return Layer((weights,), np.full(weights.shape[1], bias, np.float32))
 
 
 def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
-    """Networks without hidden layers, one row of weights for each input; for widths (1, 1, 1) if
-    not told otherwise.
+    """Parameters of networks without hidden layers, from a row of weights for each input.
+
+    By default an observation, the privileged part and an action are one number each, and V(obs) is
+    obs, whatever is privileged.
     """
-    actor = dict(layers=[plain(actor)], log_std=jnp.zeros(len(actor[0])))
-    return dict(actor=actor, critic=[plain(critic)], estimator=[plain(estimator)])
+    log_std = np.zeros(len(actor[0]), np.float32)
+    nets = dict(actor=actor, critic=critic, estimator=estimator)
+    return {name: [plain(weights)] for name, weights in nets.items()} | dict(log_std=log_std)
+
+
+def plain_learner(params):
+    """The Learner of such parameters, which has no mirror."""
+    sizes = *params["estimator"][0].weights[0].shape, len(params["log_std"])
+    return ppo.Learner(params, make_bases(None, *sizes), None, None)
 
 
 # ---- the environment ----
@@ -81,10 +85,10 @@ def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,)
 NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
 LEGS = ("FR", "FL", "RR", "RL")
 UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
-# a physics step of a nanosecond keeps any state still that a test writes
+# a physics step of a nanosecond, in which no state that a test writes can move
 FROZEN = dict(timestep=1e-9)
 
-QUIET = dict(  # what the curriculum draws, held still
+QUIET = dict(  # what the curriculum draws at random, held still
     com=(0.0, 0.0),
     motor_strength=(1.0, 1.0),
     motor_offset=(0.0, 0.0),
@@ -94,41 +98,39 @@ QUIET = dict(  # what the curriculum draws, held still
     payload=(0.0, 0.0),
     roughness=(0.0, 0.0),
 )
-QUARTER = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)  # an action: targets 0.25 rad on
+# the action (2, 12) that asks every joint for 0.25 rad more than the nominal pose
+QUARTER = np.full((2, 12), 1.0) / np.tile([0.5, 1.0, 1.0], 4)
 
 
 def make(num_envs=2, threads=1, seed=0, **fields):
-    """A reset environment without noise and with first episodes that start at age 0; task="flat" if
-    not told.
+    """An environment after a reset. It has no noise, and its first episodes start at age 0.
+
+    fields: of tasks.Config; without a task it is flat ground
     """
-    env = go1_env.Go1Env(
-        num_envs, tasks.task_config(**(dict(noise=0.0, stagger=False) | fields)), threads
-    )
+    fields = dict(noise=0.0, stagger=False) | fields
+    env = go1_env.Go1Env(num_envs, tasks.task_config(**fields), threads)
     env.reset(seed)
     return env
 
 
-def place(
-    env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0), rates=(0, 0, 0)
-):
-    """Write the same state into every environment: joints; pose, world velocity and body rates of
-    the trunk.
+def place(env, q=NOMINAL, qd=0.0, height=1.0, quaternion=UPRIGHT, velocity=(0, 0, 0), rates=0.0):
+    """Put every robot into the same state: joints, and height, pose, velocity, rates of the trunk.
+
+    velocity: in the world's frame; rates: in the trunk's
     """
     env.qpos[:, 2], env.qpos[:, 3:7], env.qpos[:, 7:] = height, quaternion, q
     env.qvel[:, :3], env.qvel[:, 3:6], env.qvel[:, 6:] = velocity, rates, qd
 
 
 def quiet(num_envs=2, **fields):
-    """A world of the curriculum in which nothing is drawn and nothing moves, its robots in the
-    nominal pose.
-    """
+    """The curriculum's world, in which nothing is drawn and nothing moves from the nominal pose."""
     env = make(num_envs, **dict(task="curriculum") | QUIET | FROZEN | fields)
     place(env)
     return env
 
 
 def still(env, steps=1):
-    """Step with action 0; the last result."""
+    """What the last of some steps with action 0 returns."""
     for _ in range(steps):
         result = env.step(np.zeros((env.num_envs, 12)))
     return result
@@ -140,7 +142,7 @@ def frames(obs):
 
 
 def soles(qpos):
-    """Height of the four soles [m] at qpos, by MuJoCo."""
+    """Height of the four soles [m] of a robot at qpos (19,), by MuJoCo's kinematics."""
     model = mujoco.MjModel.from_xml_path(str(go1.MODEL))
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -149,18 +151,17 @@ def soles(qpos):
 
 
 def random_actions(env, steps, seed=0):
-    """(steps, N, 12), of the size of a fresh policy's."""
+    """Actions (steps, N, 12) as large as those of a policy that has not learned yet."""
     return np.random.default_rng(seed).normal(size=(steps, env.num_envs, 12))
 
 
 def run(env, actions):
-    """Everything that a learner gets to see over some steps, as one list of arrays to compare bit
-    by bit.
-    """
+    """All that a learner sees of some steps, as one list of arrays to compare bit by bit."""
     seen = []
     for action in actions:
         obs, reward, terminated, truncated, info = env.step(action)
         seen += [obs, reward, terminated, truncated, *info.pop("log").values(), *info.values()]
+        seen += env.observe()
     return seen
 
 
@@ -243,14 +244,13 @@ def make_run(folder, task="flat", action=None, **learner):
         if name not in ("iterations", "num_envs")
     }
     cfg = eipo.Config(**dict(hidden=(8,), hidden_estimator=(8,)) | own | learner)
-    sizes = 2 * go1_env.FRAME_WIDTH, 3, 12
-    params = ppo.init_learner(jax.random.key(cfg.seed), sizes, None, 2, cfg).params
+    env = go1_env.Go1Env(1, env_cfg, 1)
+    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, 2, False, cfg.ppo)
     if action is not None:
-        last = params["actor"]["layers"][-1]
-        params["actor"]["layers"][-1] = plain(0 * last.even, jnp.full_like(last.bias, action))
+        pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
-    policy_file.save(folder / "policy.npz", params, env_cfg)
+    deploy.write(folder / "policy.npz", pi, env_cfg, last=False)
     return folder
 
 

@@ -1,14 +1,12 @@
 """evaluate.py: the line that it prints for a run folder."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from support import error_of, make_run
 
 import evaluate
-import go1_env
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +37,7 @@ def test_the_line_of_a_run(folder, asked, capsys):
     row = dict(zip(head.split(" | "), line.split(" | "), strict=True))
     mean, low, high = row["performance"].replace("[", "").replace("]", "").replace(",", "").split()
     assert float(mean) == 0.5 and 0.2 < float(low) < 0.5 < float(high) < 0.8
-    assert (row["fell"], row["power [W]"], row["v_x_at_0.1 [m/s]"]) == ("0.5", "0.5", "0.5")
+    assert (row["fell"], row["power [W]"], row["v_x at 0.1"]) == ("0.5", "0.5", "0.5")
     assert [env_cfg.start_spread for env_cfg, _ in asked] == [0.5, 0.0]
     assert all(env_cfg.roughness == (0.15, 0.15) for env_cfg, _ in asked)
     assert asked[0][1][:, 0].tolist() == np.repeat(np.arange(11) / 10, 2).tolist()
@@ -68,26 +66,22 @@ def test_progress_is_for_terminals(folder, monkeypatch, capsys):
         monkeypatch.setattr(sys.stderr, "isatty", lambda shown=shown: shown)
         monkeypatch.setattr(evaluate, "EPISODE_STEPS", 2)
         policy, env = evaluate.load(folder, 1)
-        list(evaluate.steps(policy, env))
+        list(evaluate.play_episode(policy, env))
         said = capsys.readouterr().err
         assert said == ("50% played\x1b[K\r100% played\x1b[K\r" if shown else "")
 
 
-@pytest.mark.parametrize("episodes", [0, -3, 10**6])
+@pytest.mark.parametrize("episodes", ["0", "1000000"])
 def test_too_few_or_too_many_episodes_are_one_line(folder, capsys, episodes):
-    said = error_of(capsys, evaluate.main, folder, "--episodes", episodes)
+    with pytest.raises(SystemExit):
+        evaluate.main([str(folder), "--episodes", episodes])
+    (said,) = capsys.readouterr().err.splitlines()
     assert f"--episodes is {episodes}" in said
 
 
-def test_what_is_no_run_folder_is_one_line(folder, asked, capsys, tmp_path):
-    """Beside a run folder it is named and left out; what does not exist is a mistake."""
-    (tmp_path / "bare").mkdir()
-    assert "bare" in error_of(capsys, evaluate.main, tmp_path / "bare")
-    assert "nowhere" in error_of(capsys, evaluate.main, folder, tmp_path / "nowhere")
-    assert evaluate.main([str(folder), str(tmp_path / "bare"), "--episodes", "11"]) == 0
-    assert "left out" in capsys.readouterr().err
-    Path(tmp_path / "bare" / "policy.npz").write_bytes(b"PK")
-    assert "damaged" in error_of(capsys, evaluate.main, tmp_path / "bare")
+def test_what_is_no_run_folder_is_one_line_before_anything_is_played(folder, asked, capsys):
+    assert "nowhere/policy.npz" in error_of(capsys, evaluate.main, folder, "nowhere")
+    assert not asked
 
 
 def test_ctrl_c_is_no_traceback(folder, monkeypatch):
@@ -100,13 +94,10 @@ def test_ctrl_c_is_no_traceback(folder, monkeypatch):
     assert evaluate.main([str(folder)]) == 130
 
 
-def test_another_world_can_be_given(folder):
-    """For those who change the robot: it gets the number of episodes and the Config."""
-    made = []
-
-    def world(num_envs, env_cfg):
-        made.append((num_envs, env_cfg.task))
-        return go1_env.Go1Env(num_envs, env_cfg)
-
-    evaluate.load(folder, 3, world=world)
-    assert made == [(3, "rough")]
+def test_prime_is_the_rival(tmp_path, asked, monkeypatch, capsys):
+    """Its file is policy_prime.npz, which PPO does not have."""
+    folder = make_run(tmp_path / "run")
+    assert "policy_prime.npz" in error_of(capsys, evaluate.main, folder, "--prime")
+    (folder / "policy.npz").rename(folder / "policy_prime.npz")
+    assert evaluate.main([str(folder), "--prime", "--episodes", "11"]) == 0
+    assert "policy.npz" in error_of(capsys, evaluate.main, folder)

@@ -16,10 +16,11 @@ from support import LAMBDAS, ROOT, error_of, make_run
 import eipo
 import evaluate
 import go1
+import policy
 import tasks
 from lab import figures, footfalls, record, sweep
 from lab.__main__ import FIGURES, OTHERS, main
-from runtime import flags, policy_file
+from runtime import flags
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
@@ -308,7 +309,7 @@ def test_the_record_can_be_read():
         for file in (record.METRICS, record.EPISODES, record.SPEED):
             assert record.by_run(place / file).keys() <= {run.name for run in runs}
     policies = [*RESULTS.rglob("policy*.npz")]
-    assert len(policies) > 3 and all(policy_file.load(path) for path in policies)
+    assert len(policies) > 3 and all(policy.load(path) for path in policies)
     files = [path for path in RESULTS.rglob("*") if path.is_file()]
     assert len(files) <= 60 and sum(path.stat().st_size for path in files) < 9e6
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import frames, handmade, make
+from support import frames, make
 
 import evaluate
 import tasks
@@ -31,22 +31,13 @@ class Scripted:
 
     def step(self, action):
         self.t += 1
-        log = dict(
-            v_x=[self.t, 2.0, 3 / 64],
-            power=[8.0, 16.0, 24.0],
-            pitch=[self.t, 4.0, 0.0],
-            roll=[-1.0, 0.5, 0.0],
-        )
-        log = {name: np.where([False, self.t > 3, False], 64.0, x) for name, x in log.items()}
+        speed, power = [self.t, 2.0, 3 / 64], [8.0, 16.0, 24.0]
+        log = dict(v_x=speed, power=power, pitch=[self.t, 4.0, 0.0], roll=[-1.0, 0.5, 0.0])
+        over = np.array([False, self.t > 3, False])
+        log = {name: np.where(over, 64.0, x) for name, x in log.items()}
         terminated = np.array([False, self.t == 3, False])
         truncated = np.array([self.t == 20, False, self.t == 20])
-        return (
-            np.zeros((3, 1)),
-            np.where([0, self.t > 3, 0], 64.0, 0.5),
-            terminated,
-            truncated,
-            dict(log=log),
-        )
+        return np.zeros((3, 1)), np.where(over, 64.0, 0.5), terminated, truncated, dict(log=log)
 
 
 @pytest.fixture(scope="module")
@@ -67,16 +58,10 @@ def test_velocity_power_and_attitude_are_of_the_first_episode(episodes):
 
     Robot 0 is 10.5 degrees nose up; robot 1 keeps its 4 until it falls.
     """
-    assert episodes.v_x.tolist() == [10.5, 2.0, 3 / 64] and episodes.power.tolist() == [
-        8.0,
-        16.0,
-        24.0,
-    ]
-    assert episodes.pitch.tolist() == [10.5, 4.0, 0.0] and episodes.roll.tolist() == [
-        -1.0,
-        0.5,
-        0.0,
-    ]
+    assert episodes.v_x.tolist() == [10.5, 2.0, 3 / 64]
+    assert episodes.power.tolist() == [8.0, 16.0, 24.0]
+    assert episodes.pitch.tolist() == [10.5, 4.0, 0.0]
+    assert episodes.roll.tolist() == [-1.0, 0.5, 0.0]
 
 
 def test_energy_per_metre_is_the_ratio_of_means():
@@ -138,32 +123,28 @@ def test_sustained_peak_is_of_ten_whole_steps():
 
 
 def test_the_policy_that_is_measured_has_no_noise():
-    """D42. The mean, 4 (3 obs) = 12 and 24, of a policy whose noise has a deviation of e^2; the
-    same every time.
-    """
-    params = handmade(estimator=((3.0,),), actor=((0.0,), (4.0,)))
-    params["actor"]["log_std"] = params["actor"]["log_std"] + 2
-    policy, obs = evaluate.deterministic(params), np.array([[1.0], [2.0]], np.float32)
-    assert policy(obs).tolist() == policy(obs).tolist() == [[12.0], [24.0]]
+    """D42. The mean, 4 (3 obs) = 12 and 24, whatever the deviation; the same every time."""
+    layer = lambda *rows: [(np.array(rows, np.float32), np.zeros(1, np.float32))]  # noqa: E731
+    pi = SimpleNamespace(estimator=layer([3.0]), actor=layer([0.0], [4.0]))
+    act, obs = evaluate.deterministic(pi), np.array([[1.0], [2.0]], np.float32)
+    assert act(obs).tolist() == act(obs).tolist() == [[12.0], [24.0]]
 
 
 def test_the_world_that_is_measured():
     """D25, D42. 20 s of one command, the paper's reward over ground, ground of its own; the rest as
     in training.
     """
-    other_than_usual = dict(
-        reward="shaped", frame="body", noise=0.5, start_spread=0.25, clip="torque", stagger=True
-    )
-    trained = tasks.task_config(
-        "curriculum", episode_steps=300, command_steps=100, ground_seed=7, **other_than_usual
-    )
+    usual = dict(noise=0.5, start_spread=0.25, clip="torque")
+    other = dict(reward="shaped", velocity_frame="body", stagger=True, ground_seed=7)
     length = dict(episode_steps=1000, command_steps=1000)
-    world = replace(
-        trained, reward="paper", frame="heading", stagger=False, ground_seed=2024, **length
+    trained = tasks.task_config(
+        "curriculum", episode_steps=300, command_steps=100, **usual, **other
     )
-    assert evaluate.evaluated(trained) == world
-    other = replace(world, clip="power", roughness=(0.125, 0.125), start_spread=0.0)
-    assert evaluate.evaluated(trained, "power", 0.125, nominal=True) == other
+    measured = dict(reward="paper", velocity_frame="heading", stagger=False, ground_seed=2024)
+    world = tasks.task_config("curriculum", **usual, **measured, **length)
+    assert evaluate.evaluation_config(trained) == world
+    asked = replace(world, clip="power", roughness=(0.125, 0.125), start_spread=0.0)
+    assert evaluate.evaluation_config(trained, "power", 0.125, nominal=True) == asked
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
@@ -176,14 +157,10 @@ def test_commands_are_kept_and_seen_from_the_first_frame():
         seen.append(frames(obs)[:, :, 3])
         return np.zeros((2, 12))
 
-    asked = [
-        log["command_x"]
-        for _, log, _, _ in evaluate.steps(policy, env, np.array([[0.25, 0, 0], [0.75, 0, 0]]))
-    ]
-    assert (
-        np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3
-        and np.array(asked).tolist() == [[0.25, 0.75]] * 3
-    )
+    commands = np.array([[0.25, 0, 0], [0.75, 0, 0]])
+    asked = [log["command_x"] for _, log, _, _ in evaluate.play_episode(policy, env, commands)]
+    assert np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3
+    assert np.array(asked).tolist() == [[0.25, 0.75]] * 3
 
 
 def test_iqm_by_hand():

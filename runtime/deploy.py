@@ -1,0 +1,90 @@
+"""policy.npz on its way from a learner to a robot: written with its trace, and tried in simulation.
+
+`policy.py` says what the file promises, and knows nothing of how a policy is trained.
+"""
+
+from dataclasses import asdict, replace
+from itertools import islice
+
+import numpy as np
+
+import go1
+import go1_env
+import networks
+import policy
+import tasks
+from runtime import run_folder
+
+STEPS = 50  # control steps of the trace, 1 s
+
+
+def of_learner(learner, env_cfg):
+    """The Policy of an eipo.Learner, without a trace."""
+    plain = networks.plain_policy(learner.params, learner.bases)
+    return policy.Policy(
+        actor=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["actor"]],
+        estimator=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["estimator"]],
+        log_std=plain["log_std"],
+        frame_scale=go1_env.FRAME_SCALE,
+        q_nominal=go1.Q_NOMINAL,
+        action_scale=go1_env.ACTION_SCALE,
+        kp=go1.KP,
+        kd=go1.KD,
+        config=asdict(env_cfg),
+    )
+
+
+def write(path, learner, env_cfg, last):
+    """Write policy.npz; last: whether the run ends here, so that the file gets its trace."""
+    pi = of_learner(learner, env_cfg)
+    if last:
+        pi.trace = trace(pi, env_cfg)
+    run_folder.replace_file(path, lambda file: policy.save(file, pi))
+
+
+def load(path):
+    """The Policy in a policy.npz, and the tasks.Config of its world."""
+    pi = policy.load(path)
+    try:
+        return pi, tasks.read_config(pi.config)
+    except TypeError as error:
+        raise ValueError(f"{path} is of another version: {error}") from None
+
+
+def trace(pi, env_cfg):
+    """The trace of a Policy, {"time": (50,), "gravity": (50, 3), ...}, without noise.
+
+    It follows the greatest command of its task, or 1 m/s.
+    """
+    world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
+    rows = []
+    for seen, _ in islice(drive(pi, go1_env.Go1Env(1, world, 1), example(env_cfg.task)), STEPS):
+        made = dict(frame=pi.frame, estimate=pi.estimate, action=pi.action)
+        rows.append(seen | made | dict(target=pi.q_nominal + pi.action_scale * pi.action))
+    return {name: np.array([row[name] for row in rows], np.float32) for name in rows[0]}
+
+
+def example(task):
+    """A command (3,) to show a task with: its greatest one, of a grid 1 m/s ahead."""
+    commands = tasks.TASKS[task].commands()
+    return np.array([1.0, 0.0, 0.0]) if isinstance(commands, tasks.Grid) else commands.high
+
+
+def drive(pi, env, command, seed=0):
+    """Let a Policy drive the one robot of env, for ever, as it would a real one.
+
+    command: (3,) [m/s, m/s, rad/s], which the caller may change in place
+    Yields of each control step what the robot measured, by its name in the trace, and env's log.
+    """
+    obs, _ = env.reset(seed, command)
+    pi.start()
+    while True:
+        frame = obs[0, -go1_env.FRAME_WIDTH :] / pi.frame_scale
+        gravity, _, pose, qd = np.split(frame[:30], [3, 6, 18])
+        seen = dict(gravity=gravity, command=command.copy(), q=pi.q_nominal + pose, qd=qd)
+        time = env.period * pi.steps
+        pi.act(**seen)
+        obs, _, terminated, truncated, info = env.step(pi.action[None])
+        yield dict(time=time) | seen, info["log"]
+        if terminated[0] or truncated[0]:
+            pi.start()

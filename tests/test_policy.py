@@ -1,0 +1,202 @@
+"""policy.py: what policy.npz promises, kept by every committed file and by a run's last one."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support import DAMAGES, ROOT, change_npz, make_run
+
+import evaluate
+import go1
+import go1_env
+import networks
+import policy
+import ppo
+import tasks
+from runtime import deploy
+
+COMMITTED = sorted((ROOT / "results").rglob("policy*.npz"))
+SENSORS = ("gravity", "command", "q", "qd")
+WIDTHS = dict(gravity=3, command=3, q=12, qd=12, frame=44, estimate=3, action=12, target=12)
+CONFIG = dict(history=2, timestep=0.005, physics_steps=4, clock_hz=12.5, action_limit=10.0)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """A Learner with the mirror whose answers are so large that some are clipped, and its world."""
+    env_cfg = tasks.task_config("curriculum", history=2, tiles=2)
+    cfg = ppo.PPOConfig(hidden=(8, 8), hidden_estimator=(8,))
+    learner = ppo.init_learner(np.random.default_rng(0), go1_env.Go1Env(1, env_cfg), 2, True, cfg)
+    last = learner.params["actor"][-1]
+    weights = tuple(30 * w for w in last.weights)
+    learner.params["actor"][-1] = last._replace(weights=weights)
+    return learner, env_cfg
+
+
+def test_all_four_tasks_have_a_committed_policy():
+    """The tests below would pass on nothing."""
+    assert {deploy.load(path)[1].task for path in COMMITTED} == set(tasks.TASKS)
+
+
+@pytest.mark.parametrize("path", COMMITTED, ids=lambda path: str(path.parent.relative_to(ROOT)))
+def test_a_committed_policy_repeats_its_trace(path):
+    """From sensors alone. The oldest file has no trace."""
+    pi = policy.load(path)
+    assert bool(pi.trace) == ("printed-clip" not in str(path))
+    for k, time in enumerate(pi.trace.get("time", [])):
+        if time == 0:
+            pi.start()
+        target = pi.act(*(pi.trace[name][k] for name in SENSORS))
+        made = dict(frame=pi.frame, estimate=pi.estimate, action=pi.action, target=target)
+        for name, x in made.items():
+            np.testing.assert_allclose(x, pi.trace[name][k], rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def handmade():
+    """A policy of 2 frames without hidden layers. Action 0 is the sum of q of the older frame less
+    its estimate; action 1 the clock's sine now; action 2 the action 1 before; action 3 is 40.
+    """
+    actor, bias = np.zeros((91, 12), np.float32), np.zeros(12, np.float32)
+    actor[6:18, 0], actor[88, 0] = 1, -1
+    actor[44 + 42, 1] = 1
+    actor[44 + 31, 2] = 1
+    bias[3] = 40
+    estimator = np.zeros((88, 3), np.float32)
+    estimator[44, 0] = 1  # the gravity[0] of the newer frame
+    ones = np.ones(12)
+    return policy.Policy(
+        actor=[(actor, bias)],
+        estimator=[(estimator, np.zeros(3, np.float32))],
+        log_std=np.zeros(12),
+        frame_scale=np.where(np.arange(44) < 3, 4.0, 1.0),
+        q_nominal=np.full(12, 0.5),
+        action_scale=np.full(12, 0.25),
+        kp=20.0,
+        kd=0.5,
+        config=CONFIG,
+    ), dict(gravity=[0.5, 0, 0], command=np.zeros(3), q=ones, qd=np.zeros(12))
+
+
+def test_act_by_hand():
+    """The estimate is 4 * 0.5 = 2. The first frame stands for both, so action 0 is 12 * 0.5 - 2 = 4
+    and its target 0.5 + 0.25 * 4; then q changes, and is seen a step later. A clock of 12.5 Hz has
+    turned by a quarter after a step of 20 ms. Action 3 is clipped at 10.
+    """
+    pi, seen = handmade()
+    for _ in range(2):
+        target = pi.act(**seen)
+        assert pi.estimate.tolist() == [2, 0, 0]
+        assert target[:4].tolist() == [1.5, 0.5, 0.5, 3.0]
+        target = pi.act(**seen | dict(q=1.5 * np.ones(12)))
+        assert pi.action[:4] == pytest.approx([4, 1, 0, 10])
+        pi.act(**seen)
+        assert pi.action[:4] == pytest.approx([10, 0, 1, 10], abs=1e-6)
+        pi.start()
+
+
+def test_one_robot_many_robots_and_the_learner_agree(trained):
+    """policy.py, evaluate.py and networks.policy, for 50 steps of random sensors."""
+    learner, env_cfg = trained
+    pi = deploy.of_learner(learner, env_cfg)
+    rng = np.random.default_rng(1)
+    seen, done, estimates = [], [], []
+    for _ in range(50):
+        pi.act(*(rng.normal(size=n) for n in (3, 3, 12, 12)))
+        seen.append(np.concatenate(pi.frames))
+        done.append(pi.action)
+        estimates.append(pi.estimate)
+    mean, std, velocity = networks.policy(learner.params, np.array(seen), learner.bases)
+    many = evaluate.deterministic(pi)(np.array(seen))
+    np.testing.assert_allclose(many, mean, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(done, np.clip(mean, -10, 10), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(estimates, velocity, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(np.exp(pi.log_std), std[0], rtol=1e-6)
+
+
+def test_a_run_ends_with_a_trace_which_is_what_the_simulation_did(trained, tmp_path):
+    """Its actions, played once more, make its readings: 50 steps of 20 ms without noise."""
+    learner, env_cfg = trained
+    path = tmp_path / "policy.npz"
+    deploy.write(path, learner, env_cfg, last=False)
+    assert policy.load(path).trace == {}
+    deploy.write(path, learner, env_cfg, last=True)
+    trace = policy.load(path).trace
+    shapes = {name: (50, width) for name, width in WIDTHS.items()}
+    assert {name: x.shape for name, x in trace.items()} == dict(time=(50,)) | shapes
+    world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
+    env = go1_env.Go1Env(1, world)
+    obs, _ = env.reset(0, [1, 0, 0])
+    for k in range(50):
+        scaled = trace["frame"][k] * go1_env.FRAME_SCALE
+        np.testing.assert_allclose(scaled, obs[0, -44:], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(trace["q"][k], env.qpos[0, 7:], atol=1e-4)
+        obs, *_ = env.step(trace["action"][[k]])
+    assert 0 < (np.abs(trace["action"]) == 10).mean() < 1
+
+
+# ---- what is read ----
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_one_line_that_names_it(tmp_path, damage):
+    path = make_run(tmp_path) / "policy.npz"
+    DAMAGES[damage](path)
+    with pytest.raises(ValueError, match=re.escape(str(path))) as said:
+        policy.load(path)
+    assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        dict(actor__0__W=np.full((91, 8), np.nan)),
+        dict(actor__0__W=np.ones((90, 8))),
+        dict(estimator__0__b=None),
+        dict(config=None),
+        dict(config="{"),
+        dict(config='{"task": "flat"}'),
+    ],
+)
+def test_a_file_with_other_contents_is_an_error_that_names_it(tmp_path, changes):
+    """Numbers that are not finite, layers that do not fit, something that is missing."""
+    path = make_run(tmp_path) / "policy.npz"
+    change_npz(path, **changes)
+    with pytest.raises(ValueError, match=re.escape(str(path))):
+        policy.load(path)
+
+
+def test_a_world_of_another_version_is_an_error_that_names_the_file(tmp_path):
+    path = make_run(tmp_path) / "policy.npz"
+    config = str(np.load(path)["config"]).replace('"noise"', '"loudness"')
+    change_npz(path, config=config)
+    with pytest.raises(ValueError, match=re.escape(str(path))):
+        deploy.load(path)
+
+
+def test_the_lines_of_deploy_md_run(tmp_path, monkeypatch):
+    make_run(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/deploy.md").read_text(), re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(code, names := {})
+    assert names["target"].shape == names["torque"].shape == (12,)
+
+
+# ---- frames and signs ----
+
+
+@pytest.mark.parametrize("turn, entry", [([0, -0.3, 0], 0), ([0.3, 0, 0], 1), ([0, 0, 0.3], 2)])
+def test_signs_of_gravity(turn, entry):
+    """Turned about -y the nose goes up, about +x the right side down."""
+    gravity = go1.felt_gravity(Rotation.from_rotvec([turn]).as_matrix(), go1_env.GRAVITY[None])[0]
+    assert gravity[entry] < 0 and np.delete(gravity, [entry, 2]) == pytest.approx(0)
+
+
+def test_signs_of_joints():
+    """A positive hip moves a foot to the left (+y), a positive thigh moves it back (-x)."""
+    feet = lambda q: go1.leg_points(np.tile(q, 4)).reshape(4, 2, 3)[:, 1]  # noqa: E731
+    straight = feet([0.0, 0, 0])
+    np.testing.assert_allclose(straight[:, 2], -2 * go1.LINK)
+    assert (feet([0.1, 0, 0])[:, 1] > straight[:, 1]).all()
+    assert (feet([0, 0.1, 0])[:, 0] < straight[:, 0]).all()
