@@ -56,19 +56,20 @@ def lands(performance, power):
     return "fails" if high < -MARGIN or least > 0 else word
 
 
-def test(arms, *comparison):
-    """{name: Comparison} of the two sides of a comparison, by NAMES."""
-    left, right = sides(arms, *comparison)
-    compared = {}
+def test(left, right):
+    """{name: (Comparison, or None and why not)} of two sides, by NAMES."""
+    found = {}
     for name in NAMES:
         numbers = [claims.numbers(arm, name, policy=policy) for arm, policy in (left, right)]
-        compared[name], _ = claims.decide(*numbers, name, "similar")
-    return compared
+        found[name] = claims.decide(*numbers, name, "similar")
+    return found
 
 
 def falls(side):
     """The shares of falls of a side from random and from nominal starts, as text in percent."""
     arm, policy = side
+    if not arm:
+        return ""
     shares = [
         100
         * np.mean([record.evaluation(run, policy, nominal)["fell"].mean() for run in arm.values()])
@@ -103,22 +104,22 @@ def lines(arms):
     words, against = {}, {}
     for comparison in comparisons(arms):
         task, kind, policy, rival = comparison
-        compared = test(arms, *comparison)
-        if compared["performance"] is None:
-            continue
+        both = sides(arms, *comparison)
+        tested = test(*both)
+        performance, power = (tested[name][0] for name in ("performance", "power"))
         word = ""
         if policy == "pi" and rival == own_rival(kind) and task != "velocity":
-            word = lands(compared["performance"], compared["power"])
+            word = lands(performance, power)
         if task == "flat" and word:
             words[kind] = word
-        if task == "flat" and policy == "pi" and rival == "PPO(0)":
-            against[kind] = compared["performance"].wide
-        cells = [claims.shown(x, name)[1] if x else "a run stands" for name, x in compared.items()]
-        cells += [falls(side) for side in sides(arms, *comparison)]
-        side = dict(pi="pi", prime="pi'")[policy]
-        what = f"{side} of {kind} against {rival}"
-        cells = [task, what, str(compared["performance"].seeds), *cells, word]
-        yield f"| {' | '.join(cells)} |"
+        if task == "flat" and policy == "pi" and rival == "PPO(0)" and performance:
+            against[kind] = performance.wide
+        side = "pi' of " if policy == "prime" else "pi of " if kind.startswith("EIPO") else ""
+        cells = [task, f"{side}{kind} against {rival}", str(len(both[0][0]))]
+        cells += [claims.shown(x, name)[1] if x else why for name, (x, why) in tested.items()]
+        if task != "velocity":
+            cells[-1] = ""  # nobody asks for a peak there
+        yield f"| {' | '.join([*cells, *map(falls, both), word])} |"
     yield '\n"Whatever lambda_0, EIPO lands where PPO lands only with a lambda that was searched'
     yield f'for": {sentence(words, against)}.\n'
     yield "| power on flat ground | ratio |\n|---|---|"

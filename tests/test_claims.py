@@ -239,6 +239,7 @@ def test_the_promise_by_hand():
     assert cells[2:5] == ["3", "-0.0100 [-0.0100, -0.0100]", "x 0.20 [0.20, 0.20]"]
     assert cells[-3:] == ["0.0 and 0.0", "0.0 and 0.0", "holds"]
     assert 'for": carried.\n' in lines
+    assert any(line.startswith("| flat | PPO(0.01) against PPO(0) | 3 | -0.5") for line in lines)
     assert "| EIPO from 0.01 / PPO(0.002) | x 1.25 [1.25, 1.25] |" in lines
     rows, figure = promise.promise(promised())
     dot = next(row for row in rows if row["kind"] == "EIPO" and row["seed"] == 12)
