@@ -1,169 +1,85 @@
-"""`python -m lab NAME ...`: what we asked of trained robots, beyond training and evaluating them.
+"""`python -m lab NAME ...`: figures and tables of trained robots. NAME is one of
 
-RUN is a run folder, or results/TASK for all runs there that train.py named, or 'results/TASK/NAME',
-where NAME may have * ? and [...].
+    a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff lambdas, as PNG and CSV in --out
+    footfalls FOLDER   which foot of a policy.npz is on the ground when, a robot each --command
+    table     RUN...   a line for each kind of run
+    claims             the paper's claims of runs in --results, each with a verdict by rule
+    promise            pi beside the pi' of its own run, as a table, PNG and CSV
+    sweep     FIGURE [FLAG...]  the train.py commands of a figure's runs, one for each of --seeds
+    add       FOLDER...  play the policies of run folders and put them into the tables of --results
+
+RUN is results/TASK for all runs there that train.py named, or 'results/TASK/NAME', in which NAME
+may have * ? and [...]. Other runs are first put into tables of their own, by add.
 """
 
 import argparse
 import os
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-if __name__ == "__main__" and sys.argv[1:2] != ["play"]:
+if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-import evaluate
-import go1_env
-from lab import (
-    adopt,
-    claims,
-    episodes,
-    figures,
-    gait,
-    gap,
-    objective,
-    overview,
-    readings,
-    record,
-    regions,
-    robust,
-)
-from lab import sweep as sweeps
-from runtime import run_folder
+from lab import claims, figures, footfalls, promise, record, sweep
 
-FIGURES = {
-    "fig2": (figures.fig2, "task performance and J/m by command, flat ground"),
-    "fig3": (figures.fig3, "the same on rough ground of 15 cm"),
-    "fig4": (figures.fig4, "task performance of every lambda on flat and rough ground"),
-    "fig5": (figures.fig5, "task performance and power over commands of v_x and yaw rate"),
-    "fig6": (figures.fig6, "speed over time on velocity"),
-    "table1": (figures.table1, "peak velocity of every lambda beside what the paper prints"),
-    "tradeoff": (overview.tradeoff, "score over power of all runs, a dot for each seed"),
-    "lambdas": (overview.lambdas, "score, power and the last alpha over lambda"),
-    "gait": (gait.gait, "how each run's robot moves its feet"),
-    "robust": (robust.robust, "what is lost where masses, friction, delays leave training"),
-}
-OTHERS = {
-    "add": "RUN...: put runs into the tables of results/; --results DIR for others",
-    "table": "RUN...: a line for each run, as evaluate.py prints it, from kept episodes",
-    "claims": "the paper's claims, each with a difference over seeds and a verdict by rule",
-    "missing": "FIGURE [FLAG ...]: train.py commands of the runs that a figure still lacks",
-    "readings": "READING [FLAG ...]: train.py with another reading of the paper",
-    "gap": "RUN...: pi beside pi' with exploration noise and without, from a checkpoint",
-    "objective": "RUN...: which policy on velocity Eq. (2) prefers at each lambda",
-    "regions": "FIG5.csv: Figure 5 by region, as a table",
-    "play": "RUN --model FILE.xml ...: play.py with another MJCF of a Go1",
-}
+FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "lambdas"
+OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
 
 
-def usage():
-    """What `-h` prints."""
-    about = {name: about for name, (_, about) in FIGURES.items()}
-    lines = [f"  {name:<10} {text}" for name, text in about.items()]
-    return "\n".join(
-        [
-            __doc__,
-            "figures, python -m lab NAME RUN... [--out DIR], a PNG and a CSV:",
-            *lines,
-            "",
-            "others:",
-            *(f"  {name:<10} {text}" for name, text in OTHERS.items()),
-        ]
+def parse(argv):
+    """The arguments of the command line, and the flags that `sweep` hands on to train.py."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        "python -m lab", description=__doc__, formatter_class=form, allow_abbrev=False
     )
-
-
-def parse(name, argv):
-    """The arguments of a figure or of the table."""
-    parser = argparse.ArgumentParser(prog=f"lab {name}", description=FIGURES.get(name, ("", ""))[1])
     parser.error = lambda message: parser.exit(2, f"lab: {message} (-h lists every flag)\n")
+    parser.add_argument("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
+    parser.add_argument("what", nargs="*", help="runs, folders or a figure, as NAME takes them")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for PNG and CSV")
+    parser.add_argument("--results", type=Path, default=record.RESULTS, help="folder of the tables")
+    parser.add_argument("--episodes", type=int, help="to play, per policy and kind of start")
     parser.add_argument(
-        "runs", nargs="+", help="run folders, or results/TASK, or results/TASK/NAME"
+        "--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s of v_x"
     )
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of PNG and CSV")
-    if name == "gait":
-        parser.add_argument("--command", type=float, nargs="+", metavar="VX", help="m/s")
-    parser.add_argument("--model", metavar="FILE.xml", help="another MJCF of a Go1 (lab/adopt.py)")
-    evaluate.add_flags(parser)
-    args = parser.parse_intermixed_args(argv)
-    evaluate.check_flags(args)
-    args.robot = None if args.model is None else adopt.read_robot(args.model)
-    args.world = adopt.world(args.robot) if args.robot else go1_env.Go1Env
-    return args
+    parser.add_argument("--commit", default="", help="that claims and promise are of")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of sweep")
+    args, flags = parser.parse_known_args(argv)
+    if flags and args.name != "sweep":
+        parser.error(f"unrecognized arguments: {' '.join(flags)}")
+    if not args.what and args.name not in ("claims", "promise"):
+        parser.error(f"{args.name} takes at least one argument")
+    return args, flags
 
 
-def run_folders(paths, into):
-    """The run folders of paths. What results/ has is made a folder, in the folder `into`."""
-    found, others = [], []
-    for path in map(Path, paths):
-        tables = [place / record.RUNS for place in (path, path.parent)]
-        tables = [table for table in tables if table.exists()]
-        if path.is_file() or (path / "config.json").exists() or not tables:
-            others.append(path)
-        elif taken := [*record.take_out(path, into)]:
-            found += taken
-        else:
-            raise ValueError(f"{tables[0]} has no run {path.name}")
-    files = "policy.npz", run_folder.EPISODES
-    return found + (evaluate.run_folders(others, files) if others else [])
-
-
-def draw(name, argv):
-    """Make a figure."""
-    args = parse(name, argv)
-    args.out.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory() as into:
-        figures.save(args.out, name, *FIGURES[name][0](run_folders(args.runs, into), args))
-
-
-def add(argv):
-    """Put runs into the tables of results/, or of another folder."""
-    parser = argparse.ArgumentParser(prog="lab add", description=record.__doc__.split("\n\n")[0])
-    parser.error = lambda message: parser.exit(2, f"lab: {message} (-h lists every flag)\n")
-    parser.add_argument("runs", nargs="+", type=Path, help="run folders")
-    parser.add_argument("--results", type=Path, help="folder of the tables (default: results)")
-    args = parser.parse_args(argv)
-    record.add(args.runs, args.results)
-
-
-def other(name, argv):
-    """What is no figure; returns the exit status, or None."""
-    if name == "missing":
-        print(*sweeps.missing_runs("".join(argv[:1]), argv[1:]), sep="\n")
-    elif name == "readings":
-        return readings.main("".join(argv[:1]), argv[1:])
-    elif name == "add":
-        add(argv)
-    elif name == "claims":
-        print(*claims.table(*argv[:1]), sep="\n")
-    elif name == "regions":
-        print(*regions.lines("".join(argv[:1])), sep="\n")
-    elif name == "play":
-        return adopt.play(argv)
+def run(args, flags):
+    """Do what the command line says."""
+    if args.name in FIGURES:
+        rows, figure = getattr(figures, args.name)(record.runs(args.what))
+        figures.save(args.out, args.name, figure, rows)
+        if args.name == "fig5":
+            print(*figures.regions(rows), sep="\n")
+    elif args.name == "promise":
+        arms = claims.counted(args.results, args.commit)
+        rows, figure = promise.promise(arms)
+        figures.save(args.out, args.name, figure, rows)
+        print(*promise.lines(arms), sep="\n")
+    elif args.name == "footfalls":
+        figures.save(args.out, args.name, footfalls.footfalls(args.what[0], args.command))
+    elif args.name == "table":
+        print(*claims.table(record.runs(args.what)), sep="\n")
+    elif args.name == "claims":
+        print(*claims.lines(claims.counted(args.results, args.commit)), sep="\n")
+    elif args.name == "sweep":
+        print(*sweep.commands(args.what[0], args.seeds, flags), sep="\n")
     else:
-        args = parse(name, argv)
-        with TemporaryDirectory() as into:
-            folders = run_folders(args.runs, into)
-            if name == "gap":
-                evaluate.print_rows(map(gap.row, folders))
-            elif name == "objective":
-                print(*objective.lines(folders), sep="\n")
-            else:
-                evaluate.print_rows(episodes.overview(folder, args) for folder in folders)
+        record.add(args.what, args.results, args.episodes)
 
 
 def main(argv):
     """Run one of the names; returns the exit status."""
-    name = "".join(argv[:1])
-    if name in ("", "-h", "--help"):
-        print(usage())
-        return 0 if name else 2
     try:
-        if name in FIGURES:
-            return draw(name, argv[1:]) or 0
-        if name in OTHERS:
-            return other(name, argv[1:]) or 0
-        raise ValueError(f"there is no {name}: choose one of {', '.join([*FIGURES, *OTHERS])}")
+        run(*parse(argv))
+        return 0
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

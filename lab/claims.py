@@ -1,178 +1,178 @@
-"""The paper's claims by rule: `python -m lab claims` prints the table of results/README.md, and
-`python -m lab claims table1` that of results/velocity/README.md, with every lambda of Table I.
+"""The paper's claims by the rules of results/rules.md: `python -m lab claims` prints its rows.
 
-Each claim compares two kinds of runs by one number of each seed, computed from the episodes that
-results/ keeps. The difference of the means has a 95 % interval over seeds, by Welch's t. The rule:
-
-    yes        the whole interval is on the side that the paper claims
-    no         the whole interval is on the other side
-    undecided  the interval holds 0, or one kind has a single seed and so no interval
+A row compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
+seed is one of the rules, and all of them must be of one commit.
 """
-
-from functools import lru_cache
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
-import evaluate
-from lab import episodes, record, sweep
-from lab.statistics import iqm
+from lab import record, sweep
+from lab.figures import TABLE1
+from lab.statistics import NUMBERS, compare, verdict
 
-# where the paper claims it | what | by which of NUMBERS | kinds of runs, as TASK/NAME without seed
-CLAIMS = """
-Fig. 2a | EIPO performs better than PPO(0.005) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.005
-Fig. 2a | EIPO performs better than PPO(0) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0
-Fig. 2b | EIPO needs less energy than PPO(0) | J/m
-        flat/flat-eipo-lam0.005 < flat/flat-ppo-lam0
-Fig. 3a | EIPO performs better than PPO(0.005) | performance
-        rough/rough-eipo-lam0.0002 > rough/rough-ppo-lam0.005
-Fig. 3a | EIPO performs better than PPO(0), which fails | performance
-        rough/rough-eipo-lam0.0002 > rough/rough-ppo-lam0
-Fig. 3b | EIPO needs less energy than PPO(0.005) | J/m
-        rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0.005
-Fig. 3b | EIPO needs less energy than PPO(0) | J/m
-        rough/rough-eipo-lam0.0002 < rough/rough-ppo-lam0
-Fig. 4 | EIPO performs better than every PPO, so than PPO(0.002) | performance
-        flat/flat-eipo-lam0.005 > flat/flat-ppo-lam0.002
-Table I | EIPO peaks above PPO(0) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0
-Table I | EIPO peaks above PPO(0.0002) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0002
-Table I | EIPO peaks above PPO(0.01) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.01
-Table I | EIPO peaks above PPO(0.0001) | peak
-        velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam0.0001
-Section I | no lambda_0 is too large: EIPO from 0.01 peaks above PPO(0.01) | peak
-        velocity/binding1000-eipo-lam0.01 > velocity/velocity-ppo-lam0.01
-Fig. 5 | EIPO draws no more than the shaped reward | power
-        curriculum/curriculum-eipo-lam0.005 < curriculum/curriculum-ppo-lam0-shaped
-"""
-
-
-TABLE1 = "\n".join(
-    f"Table I | EIPO peaks above PPO({lam:g}) | peak\n"
-    f"velocity/velocity-eipo-lam0.0002 > velocity/velocity-ppo-lam{lam:g}"
-    for lam in sweep.LAMBDAS
-)
+SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
+TASKS = "flat", "rough", "velocity"
+# A margin is of a difference, or of the logarithm of a ratio.
+MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
+DIGITS = {"performance": 4, "peak": 2, "power": 0, "J/m": 0}
+RATIOS = "power", "J/m"
+PPO = sweep.KINDS[1:]
+ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
+# the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
+CLAIMS = [
+    (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
+    (2, "flat", "performance", ALL, "EIPO", "PPO(0)", ">"),
+    (3, "flat", "performance", EVERY, "EIPO", "PPO(0.005)", ">"),
+    (3, "flat", "performance", EVERY, "EIPO", "PPO(0)", ">"),
+    (4, "flat", "J/m", ALL, "EIPO", "PPO(0)", "<"),
+    (5, "flat", "J/m", ALL, "PPO(0.005)", "PPO(0)", "<"),
+    (6, "flat", "J/m", ALL, "EIPO", "PPO(0.005)", ">"),
+    (7, "flat", "J/m", (0.1, 0.5), "EIPO", "PPO(0.005)", ">"),
+    (8, "flat", "J/m", (0.6, 1), "EIPO", "PPO(0.005)", "similar"),
+    (9, "flat", "power", ALL, "EIPO", "PPO(0.005)", "similar"),
+    (10, "rough", "performance", (0.5, 1), "EIPO", "PPO(0.005)", ">"),
+    (11, "rough", "performance", EVERY, "EIPO", "PPO(0.005)", "no worse"),
+    (12, "rough", "performance", EVERY, "EIPO", "PPO(0)", "no worse"),
+    (13, "rough", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
+    (14, "rough", "performance", ALL, "EIPO", "PPO(0)", ">"),
+    (15, "rough", "performance", ALL, "PPO(0.005)", "PPO(0)", ">"),
+    (16, "rough", "J/m", ALL, "EIPO", "PPO(0.005)", "<"),
+    (17, "rough", "J/m", ALL, "EIPO", "PPO(0)", "<"),
+    (18, "rough", "power", ALL, "EIPO", "PPO(0.005)", "similar"),
+    *((19, "flat", "performance", ALL, "EIPO", ppo, ">") for ppo in PPO),
+    *((20, "flat", "performance", EVERY, "EIPO", ppo, ">") for ppo in PPO),
+    *((21, "rough", "performance", (0, 0.3), "EIPO", ppo, "similar") for ppo in PPO),
+    *((22, "rough", "performance", (0.4, 1), "EIPO", ppo, ">") for ppo in PPO),
+    *((23, "velocity", "peak", ALL, "EIPO", ppo, ">") for ppo in PPO),
+    *((24, "velocity", "peak", ALL, ppo, "PPO(0)", "<") for ppo in PPO[1:]),
+    (25, "velocity", "power", ALL, "EIPO", "PPO(0)", "similar"),
+]
 
 
-class Claim(NamedTuple):
-    """One claim of the paper: by a number, the runs `ours` are above (>) or below (<) `rivals`."""
+def counted(results=record.RESULTS, commit=""):
+    """The runs that count, by task and kind: {task: {kind: {seed: Run}}}.
 
-    where: str
-    what: str
-    number: str
-    ours: str
-    sign: str
-    rivals: str
-
-
-def claims(text=CLAIMS):
-    """The Claims of a text like CLAIMS."""
-    rows = text.strip().split("\n")
-    for head, kinds in zip(rows[::2], rows[1::2], strict=True):
-        yield Claim(*(x.strip() for x in head.split("|")), *kinds.split())
-
-
-# ---- one number of each seed ----
-
-
-def performance(e):
-    """Task performance [-], Section V-A."""
-    return e["performance"].mean()
-
-
-def power(e):
-    """Power [W] of Eq. (9) without its bonus."""
-    return e["power"].mean()
-
-
-def energy(e):
-    """Energy per metre [J/m], of commands from 0.1 m/s on."""
-    moving = e["asked_v_x"] >= 0.1
-    return evaluate.energy_per_metre(e["power"][moving], e["v_x"][moving])
-
-
-def peak(e):
-    """Peak velocity [m/s]: the interquartile mean, as in Table I."""
-    return iqm(e["peak"])
-
-
-NUMBERS = {
-    "performance": (performance, "", 4),
-    "power": (power, " W", 0),
-    "J/m": (energy, " J/m", 0),
-    "peak": (peak, " m/s", 2),
-}
-
-
-tables = lru_cache(record.groups)  # read once for all claims of a task
-
-
-def seeds(kind, number, results=None):
-    """The number of each seed of a kind, TASK/NAME: a list over the runs NAME-seedN."""
-    task, name = kind.split("/")
-    place = (results or record.RESULTS) / task
-    by_run = tables(place / record.EPISODES)
-    runs = [run for run in by_run if run.removeprefix(f"{name}-seed").isdecimal()]
-    return [NUMBERS[number][0](random_starts(by_run[run], task)) for run in runs]
-
-
-def random_starts(rows, task):
-    """The columns of the episodes with random starts, on the ground of the task's evaluation."""
-    columns = {name: np.array([float(row[name]) for row in rows]) for name in episodes.COLUMNS}
-    roughness = evaluate.ROUGHNESS.get(task, columns["roughness"].max())
-    usual = (columns["start_spread"] > 0) & (columns["roughness"] == roughness)
-    return {name: x[usual] for name, x in columns.items()}
-
-
-# ---- verdicts ----
-
-
-def verdict(ours, rivals, less=False):
-    """The difference of two means, its 95 % interval, and yes, no or undecided.
-
-    ours, rivals: (n,), (m,) a number of each seed; less: whether ours is claimed to be below
+    commit: how the commit begins, of which they are. Raises ValueError if they are of several.
     """
-    difference = np.mean(ours) - np.mean(rivals)
-    if min(len(ours), len(rivals)) < 2:
-        return difference, (np.nan, np.nan), "undecided"
-    low, high = stats.ttest_ind(ours, rivals, equal_var=False).confidence_interval(0.95)
-    if low <= 0 <= high:
-        return difference, (low, high), "undecided"
-    return difference, (low, high), "yes" if (difference < 0) == less else "no"
+    places = [results / task for task in TASKS if (results / task / record.RUNS).exists()]
+    runs = [run for run in record.runs(place / "*" for place in places) if run.episodes]
+    runs = [run for run in runs if run.settings["seed"] in SEEDS]
+    runs = [run for run in runs if run.row["commit"].startswith(commit)]
+    if len(commits := {run.row["commit"] for run in runs}) > 1:
+        raise ValueError(f"no comparison mixes commits: give one of {', '.join(sorted(commits))}")
+    arms = {task: {} for task in TASKS}
+    for run in runs:
+        kinds = arms[run.settings["task"]]
+        kinds.setdefault(sweep.kind(run.settings), {})[run.settings["seed"]] = run
+    return arms
 
 
-def lines(text=CLAIMS, results=None):
-    """The lines of the table of a text like CLAIMS."""
-    yield "| paper | claim | ours | rival | difference [95 %] | seeds | verdict |"
-    yield "|---" * 7 + "|"
-    for claim in claims(text):
-        ours, rivals = (seeds(kind, claim.number, results) for kind in (claim.ours, claim.rivals))
-        if not ours or not rivals:
-            missing = claim.rivals if ours else claim.ours
-            raise ValueError(f"{results or record.RESULTS} has no episodes of {missing}-seed*")
-        difference, (low, high), word = verdict(ours, rivals, claim.sign == "<")
-        _, unit, digits = NUMBERS[claim.number]
-        over = "no interval" if np.isnan(low) else f"{low:+.{digits}f}, {high:+.{digits}f}"
-        means = (f"{np.mean(x):.{digits}f}{unit}" for x in (ours, rivals))
-        cells = [f"{claim.where}, {claim.ours.split('/')[0]}", claim.what, *means]
-        cells += [f"{difference:+.{digits}f} [{over}]", f"{len(ours)}, {len(rivals)}", word]
-        yield f"| {' | '.join(cells)} |"
+def numbers(arm, name, commands=ALL, policy="pi"):
+    """One of NUMBERS of each seed: {seed: number}.
 
-
-def table(which="", path=None):
-    """What `python -m lab claims WHICH` prints; path: of the folder of results, if not ours.
-
-    Raises ValueError if which is not "table1" or "".
+    arm: {seed: Run}; commands: (from, to) [m/s], the commands v_x that count
     """
-    if which not in ("", "table1"):
-        raise ValueError(f"claims takes table1 or nothing, not {which}")
-    rows = [*lines(TABLE1 if which else CLAIMS, Path(path) if path else None)]
-    words = [row.split(" | ")[-1].removesuffix(" |") for row in rows[2:]]
-    tally = ", ".join(f"{words.count(word)} {word}" for word in ("yes", "no", "undecided"))
-    return [*rows, "", f"In all: {tally}."]
+    low, high = commands
+    found = {}
+    for seed, run in arm.items():
+        e = record.evaluation(run, policy)
+        mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
+        if mine.any():
+            found[seed] = NUMBERS[name]({column: x[mine] for column, x in e.items()})
+    return found
+
+
+def decide(left, right, name, claimed):
+    """The Comparison of two arms {seed: number} and its verdict by the rules."""
+    common = left.keys() & right.keys()
+    if not np.isfinite([arm[seed] for arm in (left, right) for seed in common]).all():
+        return None, "no verdict, a run stands"
+    if (compared := compare(left, right, name in RATIOS)) is None:
+        return None, "not tested"
+    return compared, verdict(compared, claimed, MARGINS[name])
+
+
+def at_every_command(left, right, name, claimed):
+    """The verdict on a claim about each of the eleven commands, and where it is what."""
+    words = []
+    for v_x in np.arange(11) / 10:
+        sides = (numbers(arm, name, (v_x, v_x)) for arm in (left, right))
+        words.append(decide(*sides, name, claimed)[1].split(",")[0])
+    counts = {word: words.count(word) for word in dict.fromkeys(words)}
+    if "not tested" in counts:
+        return "not tested"
+    whole = "reversed" if "reversed" in counts else "undecided"
+    whole = "holds" if counts == {"holds": 11} else whole
+    return f"{whole} ({', '.join(f'{word} at {n}' for word, n in counts.items())})"
+
+
+def shown(compared, name):
+    """A Comparison as cells: means, difference and its interval, Welch's interval."""
+    digits = DIGITS[name]
+    means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
+    if name in RATIOS:
+        center, *ends = np.exp([compared.difference, *compared.wide, *compared.welch])
+        center, (low, high, *welch) = f"x {center:.2f}", (f"{x:.2f}" for x in ends)
+    else:
+        center, *ends = (
+            f"{x:+.{digits}f}" for x in (compared.difference, *compared.wide, *compared.welch)
+        )
+        low, high, *welch = ends
+    return means, f"{center} [{low}, {high}]", f"[{', '.join(welch)}]"
+
+
+def printed(number, left, right, compared):
+    """Whether the paper's own difference lies in our interval, where it prints one; as text."""
+    if number not in (23, 24):
+        return ""
+    size = TABLE1[left][0] - TABLE1[right][0]
+    inside = compared.wide[0] <= size <= compared.wide[1]
+    return f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
+
+
+def lines(arms):
+    """Yields the rows of the claims as lines of Markdown; arms: of `counted`."""
+    yield "| no. | what | claimed | seeds | means | difference [95 %] | Welch | verdict |"
+    yield "|---" * 8 + "|"
+    for number, task, name, commands, left, right, claimed in CLAIMS:
+        sides = [arms[task].get(kind, {}) for kind in (left, right)]
+        where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
+        where = "" if commands == ALL else where
+        what = f"{task}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
+        cells = ["", "", "", ""]
+        if commands == EVERY:
+            word = at_every_command(*sides, name, claimed)
+        else:
+            sides = [numbers(arm, name, commands) for arm in sides]
+            compared, word = decide(*sides, name, claimed)
+            if compared:
+                cells = [f"{compared.seeds}", *shown(compared, name)]
+                word += printed(number, left, right, compared)
+                least = compared.visible
+                seen = f"x {np.exp(least):.2f}" if name in RATIOS else f"{least:.2g}"
+                word = word.replace("undecided", f"undecided, would see {seen}")
+        yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
+    yield "\nRows 26 to 31 are not tested: no run of the curriculum counts."
+
+
+def table(runs):
+    """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds.
+
+    The score is the peak on velocity, and elsewhere task performance.
+    """
+    yield "| task | kind | seeds | score: mean; each seed | fell | from nominal | power | energy |"
+    yield "|---" * 8 + "|"
+    runs = [run for run in runs if run.episodes]
+    for task in dict.fromkeys(run.settings["task"] for run in runs):
+        score = NUMBERS["peak" if task == "velocity" else "performance"]
+        for kind, seeds in sweep.by_kind(runs, task).items():
+            random = [record.evaluation(run) for run in seeds]
+            nominal = [record.evaluation(run, nominal=True) for run in seeds]
+            each = [score(e) for e in random]
+            shares = (100 * np.mean([e["fell"].mean() for e in x]) for x in (random, nominal))
+            means = (np.mean([NUMBERS[name](e) for e in random]) for name in ("power", "J/m"))
+            cells = [task, kind, str(len(seeds))]
+            cells += [f"{np.mean(each):.3f}; {', '.join(f'{x:.3f}' for x in each)}"]
+            cells += [f"{x:.1f} %" for x in shares]
+            cells += [f"{x:.0f} {unit}" for x, unit in zip(means, ("W", "J/m"), strict=True)]
+            yield f"| {' | '.join(cells)} |"

@@ -1,35 +1,49 @@
-"""What came out of finished runs, in three tables for each task instead of a folder for each run.
+"""What came out of finished runs: a few tables for each task, from which every figure is drawn.
 
-    results/TASK/runs.csv          a row per run: scores, command, commit, machine, every setting
-    results/TASK/metrics.csv.gz    every tenth row of the metrics.csv of each run
-    results/TASK/episodes.csv.gz   every episode that was played, see episodes.py
+    results/TASK/runs.csv         a row per run: scores, command, commit, machine, every setting
+    results/TASK/metrics.csv.gz   every tenth row of the metrics.csv of each run
+    results/TASK/episodes.csv.gz  a row per episode that was played: the policy (pi, or prime for
+                                  pi_prime; empty means pi), how it started, what it was asked for,
+                                  and what evaluate.Episodes measures
+    results/velocity/speed.csv    the mean speed of pi over time, for Figure 6
 
-`python -m lab add RUN...` puts runs in. The figures take them out again, into run folders that
-last as long as the command.
+`python -m lab add RUN...` plays the policies of run folders, and puts them in.
 """
 
 import csv
 import gzip
 import io
 import json
-from dataclasses import asdict
 from fnmatch import fnmatchcase
-from itertools import compress, groupby
 from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-import eipo
 import evaluate
-import tasks
-from lab import episodes
-from runtime import metrics, run_folder
-from runtime.flags import to_config
+from lab import statistics
+from runtime import run_folder
 
 RESULTS = Path(__file__).parents[1] / "results"
-RUNS, METRICS, EPISODES = "runs.csv", "metrics.csv.gz", "episodes.csv.gz"
+RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 SCORES = "performance", "fell", "performance_nominal", "fell_nominal", "v_x", "peak", "power"
+POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
+# to be played of each policy from each kind of start, by results/rules.md and for Figure 5
+NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
+# of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
+GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
+
+
+class Run(NamedTuple):
+    """A run that the tables keep."""
+
+    name: str
+    settings: dict  # every setting by name, as in config.json
+    row: dict  # its row of runs.csv, as text
+    metrics: dict  # {column: (rows,)}
+    episodes: dict  # {column: (episodes,)}, numbers but for `policy`
+    speed: dict  # {column: (times,)}
 
 
 # ---- tables: lists of dicts of text ----
@@ -42,168 +56,193 @@ def read(path):
     try:
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
         rows = list(csv.DictReader(io.StringIO(data.decode())))
-        if rows and ("run" not in rows[0] or any(None in {*row, *row.values()} for row in rows)):
-            raise ValueError("it has no column run, or a row of another length")
+        if any(None in {*row, *row.values()} for row in rows):
+            raise ValueError("a row has another length than the head")
         return rows
     except (OSError, EOFError, ValueError, csv.Error) as error:
         raise ValueError(f"{path} is damaged: {error}") from None
 
 
-def as_csv(rows):
-    """The bytes of a CSV of rows, with the columns of all of them in the order of their coming."""
+def write(path, rows):
+    """Write rows as a CSV file, compressed if its name says so, with the columns of all of them."""
+    rows = [{k: f"{x:.5g}" if isinstance(x, float) else x for k, x in r.items()} for r in rows]
     text = io.StringIO(newline="")
     columns = dict.fromkeys(name for row in rows for name in row)
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return text.getvalue().encode()
-
-
-def write(path, rows):
-    """Write rows as a CSV file, compressed if its name says so."""
-    data = as_csv(rows)
+    data = text.getvalue().encode()
     data = gzip.compress(data, mtime=0) if path.suffix == ".gz" else data
     run_folder.replace_file(path, lambda file: file.write(data))
 
 
-# ---- a run folder as rows ----
+def by_run(path):
+    """A table by run: {run: [row, ...]}."""
+    groups = {}
+    for row in read(path):
+        groups.setdefault(row["run"], []).append(row)
+    return groups
 
 
-def described(folder):
-    """The row of runs.csv of a run folder. What is JSON there is JSON here, entry by entry."""
-    record = json.loads((folder / "config.json").read_text())
-    env_cfg, cfg = run_folder.load_config(folder)
-    about, *resumed = record.get("starts") or [record]  # the oldest runs have one start alone
-    done = last_iteration(folder)
-    row = dict(run=folder.name, seed=cfg.seed, iterations=f"{done:.0f}")
-    row["steps"] = f"{done * cfg.num_steps * cfg.num_envs:.0f}"
-    row |= scores(folder, env_cfg)
-    row |= {name: about.get(name, "") for name in ("command", "commit", "machine")}
-    row |= dict(versions=json.dumps(about.get("versions", {})))
-    row |= dict(resumed=json.dumps(resumed) if resumed else "")
-    for part, config in (("env", env_cfg), ("learner", cfg)):
-        row |= {f"{part}.{name}": json.dumps(x) for name, x in asdict(config).items()}
-    return row
+def columns(rows):
+    """The rows of a run as {column: array}: numbers, but for the name of the policy."""
+    if not rows:
+        return {}
+    names = [name for name, x in rows[0].items() if x and name not in ("run", "policy")]
+    table = {name: np.array([row[name] for row in rows], float) for name in names}
+    return table | dict(policy=np.array([row.get("policy") or "pi" for row in rows]))
 
 
-def scores(folder, env_cfg):
-    """Means over the kept episodes that are of the task's own evaluation, "" where there is none.
+# ---- out of the tables ----
 
-    Those of random starts, and of nominal ones where the name says so.
+
+def runs(patterns):
+    """The Runs of patterns, each once.
+
+    A pattern is results/TASK, for all runs whose names begin with the task's name, as train.py
+    names them, or results/TASK/NAME, in which NAME may have * ? and [...].
     """
-    table = dict(zip(episodes.COLUMNS, episodes.read(folder / EPISODES).T, strict=True))
-    roughness = evaluate.ROUGHNESS.get(env_cfg.task, env_cfg.roughness[1])
-    usual = (table["roughness"] == roughness) & (table["torque_clip"] == (env_cfg.clip == "torque"))
-    row = dict(episodes=int((usual & (table["start_spread"] > 0)).sum()))
-    for name in SCORES:
-        nominal = name.endswith("_nominal")
-        mine = usual & ((table["start_spread"] == 0) == nominal)
-        mean = evaluate.finite_mean(table[name.removesuffix("_nominal")][mine])
-        row[name] = f"{mean:.4g}" if np.isfinite(mean) else ""
-    return row
+    found = {}
+    tables = {}
+    for path in map(Path, patterns):
+        place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
+        if place not in tables:
+            tables[place] = [by_run(place / file) for file in (RUNS, METRICS, EPISODES, SPEED)]
+        listed, *others = tables[place]
+        names = [run for run in listed if fnmatchcase(run, name)]
+        if not names:
+            raise ValueError(f"{place / RUNS} has no run {name}")
+        for run in names:
+            (row,) = listed[run]
+            parts = (columns(table.get(run)) for table in others)
+            found[place, run] = Run(run, settings_of(row), row, *parts)
+    return list(found.values())
 
 
-def last_iteration(folder):
-    """The last iteration in a run's metrics.csv, 0 if there is none."""
-    there = (folder / "metrics.csv").exists()
-    return metrics.read(folder).get("iteration", [0])[-1] if there else 0
+def settings_of(row):
+    """The settings of a row of runs.csv by name, in which `env.` and `learner.` are left out."""
+    settings = {name: x for name, x in row.items() if name.startswith(("env.", "learner."))}
+    return {name.split(".")[1]: json.loads(x) for name, x in settings.items() if x}
+
+
+def evaluation(run, policy="pi", nominal=False):
+    """The columns of a run's episodes that are of the paper's evaluation.
+
+    policy: "pi" or "prime"; nominal: those from the nominal pose, not those from random poses
+    """
+    if not (e := run.episodes):
+        raise ValueError(f"the tables have no episodes of {run.name}")
+    roughness = evaluate.ROUGHNESS.get(run.settings["task"], run.settings["roughness"][1])
+    mine = (e["policy"] == policy) & ((e["start_spread"] == 0) == nominal)
+    mine &= np.isclose(e["roughness"], roughness)
+    mine &= e["torque_clip"] == (run.settings["clip"] == "torque")
+    return {name: x[mine] for name, x in e.items()}
+
+
+# ---- into the tables ----
+
+
+def add(folders, results=RESULTS, num_episodes=None):
+    """Play run folders and put them into the tables of their tasks in the folder `results`.
+
+    num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name is
+    replaced.
+    """
+    for folder in map(Path, folders):
+        row = run_row(folder)
+        task = settings_of(row)["task"]
+        n = num_episodes or NUM_EPISODES[task]
+        played = list(play(folder, task, n))
+        row |= scores(Run(folder.name, settings_of(row), row, {}, columns(played), {}))
+        parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
+        if task == "velocity":
+            parts[SPEED] = speed_rows(folder, n)
+        (results / task).mkdir(parents=True, exist_ok=True)
+        for name, new in parts.items():
+            path = results / task / name
+            others = [x for x in read(path) if x["run"] != folder.name]
+            write(path, sorted([*others, *new], key=itemgetter("run")))
+
+
+def run_row(folder):
+    """The row of runs.csv of a run folder, without scores. What is JSON there is JSON here."""
+    path = folder / "config.json"
+    try:
+        config = json.loads(path.read_text())
+        first, *resumed = config["starts"]
+        last = config["starts"][-1]
+        cfg = config["learner"]
+        done = int(read(folder / "metrics.csv")[-1]["iteration"])
+        row = dict(run=folder.name, seed=cfg["seed"], iterations=done)
+        row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
+        row |= dict.fromkeys(("episodes", *SCORES), "")  # `add` fills them in
+        row |= {name: first[name] for name in ("command", "commit", "machine")}
+        row |= {name: last.get(name, "") for name in ("cpu", "cores")}
+        row |= dict(versions=json.dumps(first["versions"]))
+        row |= dict(resumed=json.dumps(resumed) if resumed else "")
+        for part in ("env", "learner"):
+            row |= {f"{part}.{name}": json.dumps(x) for name, x in config[part].items()}
+        return row
+    except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
+        raise ValueError(f"{folder} is not the folder of a run: {error!r}") from None
 
 
 def thinned(folder):
     """Every tenth row and the last one of a run's metrics, with five digits."""
-    columns = metrics.read(folder) if (folder / "metrics.csv").exists() else {}
-    iterations = columns.get("iteration", [])
-    kept = [i % 10 == 0 or i == iterations[-1] for i in iterations]
-    for row in compress(zip(*columns.values(), strict=True), kept):
-        cells = (f"{x:.0f}" if float(x).is_integer() else f"{x:.5g}" for x in row)
-        yield dict(run=folder.name) | dict(zip(columns, cells, strict=True))
+    rows = read(folder / "metrics.csv")
+    for row in rows:
+        if int(row["iteration"]) % 10 == 0 or row is rows[-1]:
+            cells = {name: f"{float(x):.5g}" for name, x in row.items()}
+            whole = {name: f"{float(x):.0f}" for name, x in row.items() if float(x).is_integer()}
+            yield dict(run=folder.name) | cells | whole
 
 
-# ---- in and out ----
+def play(folder, task, num_episodes):
+    """Yields a row per episode of the policies in a folder, from random and from nominal starts.
 
-
-def add(folders, results=None):
-    """Put run folders into the tables of their tasks.
-
-    results: the folder of the tables, if not ours. A run of the same name and settings is
-    replaced. Raises ValueError, and changes nothing, if one of these names stands for a run of
-    other settings.
+    Equally many of each command of the evaluation, on curriculum of each command of GRID.
     """
-    results = results or RESULTS
-    tables = {}
-    for folder in map(Path, folders):
-        task = run_folder.load_config(folder)[0].task
-        if task not in tables:
-            names = RUNS, METRICS, EPISODES
-            tables[task] = {name: read(results / task / name) for name in names}
-        new = described(folder)
-        for row in tables[task][RUNS]:
-            if row["run"] == folder.name and (changed := differing(row, new)):
-                where = results / task / RUNS
-                raise ValueError(f"{where} has a {folder.name} of another {', '.join(changed)}")
-        played = episodes.read_text(folder / EPISODES)
-        rows = {RUNS: [new], METRICS: [*thinned(folder)]}
-        rows[EPISODES] = [dict(run=folder.name) | row for row in played]
-        for name, more in rows.items():
-            others = [row for row in tables[task][name] if row["run"] != folder.name]
-            tables[task][name] = sorted([*others, *more], key=itemgetter("run"))
-    for task, by_name in tables.items():
-        (results / task).mkdir(parents=True, exist_ok=True)
-        for name, rows in by_name.items():
-            write(results / task / name, rows)
+    commands = GRID if task == "curriculum" else evaluate.commands_of(task)
+    asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
+    for policy, file in POLICIES.items():
+        for nominal in (False, True) if (folder / file).exists() else ():
+            act, env = load(folder, len(asked), policy, nominal)
+            played = evaluate.run_episodes(act, env, asked)
+            world = env.env_cfg
+            table = dict(start_spread=world.start_spread, least_roughness=world.roughness[0])
+            table |= dict(roughness=world.roughness[1], torque_clip=world.clip == "torque")
+            table |= zip(("asked_v_x", "asked_v_y", "asked_yaw"), asked.T, strict=True)
+            table |= played._asdict()
+            table = {name: np.broadcast_to(x, len(asked)) for name, x in table.items()}
+            for numbers in zip(*table.values(), strict=True):
+                cells = (f"{x:.5g}" for x in numbers)
+                about = dict(run=folder.name, policy=policy)
+                yield about | dict(zip(table, cells, strict=True))
 
 
-def differing(row, other):
-    """The settings, but for the number of iterations, in which two rows of runs.csv differ."""
-    names = [name for name in {**row, **other} if name.startswith(("env.", "learner."))]
-    names.remove("learner.iterations")
-    return [name for name in names if row.get(name) != other.get(name)]
+def load(folder, num_episodes, policy="pi", nominal=False):
+    """A policy of a folder, and its environment in the paper's evaluation."""
+    roughness = evaluate.ROUGHNESS.get(run_folder.load_config(folder)[0].task)
+    return evaluate.load(folder, num_episodes, None, roughness, nominal, policy == "prime")
 
 
-def configs(row):
-    """What config.json had, of a row of runs.csv."""
-    parts = {"env": {}, "learner": {}}
-    for name, x in row.items():
-        part, _, field = name.partition(".")
-        if part in parts and x:
-            parts[part][field] = json.loads(x)
-    about = {name: row[name] for name in ("command", "commit", "machine")}
-    about["versions"] = json.loads(row["versions"])
-    return parts | dict(starts=[about, *json.loads(row["resumed"] or "[]")])
+def scores(run):
+    """The SCORES of a run for runs.csv: of pi, from random starts unless the name says nominal."""
+    row = {}
+    for nominal, ending in ((False, ""), (True, "_nominal")):
+        e = evaluation(run, nominal=nominal)
+        row |= {f"{name}{ending}": f"{of(e):.4g}" for name, of in statistics.NUMBERS.items()}
+    return dict(episodes=len(e["fell"])) | {name: row[name] for name in SCORES}
 
 
-def settings(row):
-    """The tasks.Config and eipo.Config of a row of runs.csv."""
-    entries = configs(row)
-    return to_config(tasks.Config, entries["env"]), to_config(eipo.Config, entries["learner"])
-
-
-def take_out(pattern, into):
-    """Run folders, made in the folder `into`, of what the tables of results/TASK have.
-
-    pattern: results/TASK for all runs whose names begin with the task's name, as `train.py` names
-             them, or results/TASK/NAME, in which NAME may have * ? and [...]
+def speed_rows(folder, num_episodes):
+    """Yields the mean speed [m/s] of the robots that have not fallen, and the time [s] since the
+    start, of each period of the clock, which smooths the strides.
     """
-    path = Path(pattern)
-    place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
-    runs = [row for row in read(place / RUNS) if fnmatchcase(row["run"], name)]
-    tables = {file: groups(place / file) for file in (METRICS, EPISODES)}
-    for row in runs:
-        folder = Path(into) / place.name / row["run"]
-        folder.mkdir(parents=True)
-        (folder / "config.json").write_text(json.dumps(configs(row)))
-        for file, rows in tables.items():
-            if row["run"] in rows:
-                mine = [without_run(x) for x in rows[row["run"]]]
-                write(folder / (file if file == EPISODES else "metrics.csv"), mine)
-        yield folder
-
-
-def without_run(row):
-    """A row of a table without its run, and without columns that only other runs have."""
-    return {name: x for name, x in row.items() if name != "run" and x != ""}
-
-
-def groups(path):
-    """The rows of a table by run: {name: [row, ...]}."""
-    return {name: list(rows) for name, rows in groupby(read(path), itemgetter("run"))}
+    policy, env = load(folder, num_episodes)
+    log = [np.where(up, log["v_x"], np.nan) for _, log, up, _ in evaluate.play_episode(policy, env)]
+    strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
+    for steps in np.array_split(np.arange(len(log)), strides):
+        time = env.period * (steps.mean() + 0.5)
+        v_x = evaluate.finite_mean(np.array(log)[steps])
+        yield dict(run=folder.name, time=f"{time:.5g}", v_x=f"{v_x:.5g}")

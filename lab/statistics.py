@@ -1,4 +1,4 @@
-"""Statistics of episodes, as in Sections IV-D and V-D of the paper.
+"""Statistics of episodes, as in Sections IV-D and V-D of the paper, and of runs by rules.md.
 
 Numbers are means, or in Table I interquartile means, with two 95 % bootstrap intervals. One
 resamples the episodes of all seeds, as the paper does. The other resamples the seeds, and so shows
@@ -6,14 +6,16 @@ how much trainings differ. With two or three seeds it reaches from the lowest se
 which is less than 95 %.
 """
 
-import numpy as np
-from scipy import stats
+from typing import NamedTuple
 
-from evaluate import interval
+import numpy as np
+from scipy import optimize, stats
+
+from evaluate import energy_per_metre, interval
 
 
 def iqm(x, axis=None):
-    """Interquartile mean, of the middle half of x. It is blind to what befalls under a quarter."""
+    """Interquartile mean of x. It ignores the lowest and the highest quarter."""
     return stats.trim_mean(x, 0.25, axis=axis)
 
 
@@ -40,3 +42,78 @@ def summarise(name, by_seed, statistic=np.mean):
     over_seeds = interval([seeds], of_seeds, vectorized=False)
     numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
     return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}
+
+
+# ---- runs are compared by one number of each seed ----
+
+
+def energy(e):
+    """Energy per metre [J/m] of a run's episodes, of those that ask for 0.1 m/s or more, if any."""
+    moving = (e["asked_v_x"] >= 0.1) | (e["asked_v_x"].max() == 0)
+    return energy_per_metre(e["power"][moving], e["v_x"][moving])
+
+
+# the number of a run by which runs are compared, of columns of its episodes
+NUMBERS = {
+    "performance": lambda e: e["performance"].mean(),  # [-] Section V-A
+    "fell": lambda e: e["fell"].mean(),  # share of episodes that ended early
+    "v_x": lambda e: e["v_x"].mean(),  # [m/s]
+    "peak": lambda e: iqm(e["peak"]),  # [m/s] as in Table I
+    "power": lambda e: e["power"].mean(),  # [W] Eq. (9) without its bonus
+    "J/m": energy,
+}
+
+
+class Comparison(NamedTuple):
+    """Two arms by one number of each common seed. If it is a ratio, all but `means` are of logs."""
+
+    seeds: int
+    means: tuple  # of the left and of the right arm, geometric ones if it is a ratio
+    difference: float  # mean of left less right
+    wide: tuple  # its 95 % interval by Student's t, paired by seed
+    narrow: tuple  # its 90 % interval
+    welch: tuple  # the 95 % interval by Welch's t, which decides nothing
+    visible: float  # the smallest difference that as many seeds show with 80 % power
+
+
+def compare(left, right, ratio=False):
+    """The Comparison of two arms {seed: number} by their common seeds; None if under three."""
+    seeds = left.keys() & right.keys()
+    if len(seeds) < 3:
+        return None
+    x, y = np.array([(left[seed], right[seed]) for seed in sorted(seeds)]).T
+    x, y = (np.log(x), np.log(y)) if ratio else (x, y)
+    n, difference = len(x), np.mean(x - y)
+    error = np.std(x - y, ddof=1) / np.sqrt(n)
+    wide, narrow = (
+        (difference - t * error, difference + t * error) for t in stats.t.ppf((0.975, 0.95), n - 1)
+    )
+    welch = tuple(stats.ttest_ind(x, y, equal_var=False).confidence_interval(0.95))
+    means = np.exp([x.mean(), y.mean()]) if ratio else (x.mean(), y.mean())
+    return Comparison(n, tuple(means), difference, wide, narrow, welch, error * shift(n))
+
+
+def shift(n):
+    """How many standard errors a difference has that n pairs show with 80 % power, at 5 %."""
+    f = stats.f.ppf(0.95, 1, n - 1)  # the square of t
+    return optimize.brentq(lambda x: stats.ncf.sf(f, 1, n - 1, x**2) - 0.8, 0.1, 15.0)
+
+
+def verdict(compared, claimed, margin):
+    """What results/rules.md says of a Comparison.
+
+    claimed: ">" or "<" (left is above right, or below), "similar", or "no worse" (left is not below
+             right by more than the margin)
+    margin:  of the difference, or of the log of the ratio
+    """
+    low, high = compared.wide
+    within = -margin < compared.narrow[0] and compared.narrow[1] < margin
+    if claimed == "similar":
+        outside = low > margin or high < -margin
+        return "holds" if within else "reversed" if outside else "undecided"
+    if claimed == "no worse":
+        return "holds" if low > -margin else "reversed" if high < -margin else "undecided"
+    if low <= 0 <= high:
+        return "level" if within else "undecided"
+    word = "holds" if (low > 0) == (claimed == ">") else "reversed"
+    return f"{word}, within the margin" if within else word

@@ -1,21 +1,14 @@
-"""Which runs the figures and Table I need: `python -m lab missing table1` prints what is left.
+"""Kinds of runs, and which runs the figures and Table I need: `python -m lab sweep table1`.
 
-A run's kind is EIPO or PPO(lambda), with its other cost or reward.
+A run's kind is EIPO or PPO(lambda), and whatever else of it is not usual for its task.
 """
 
 import shlex
-from contextlib import nullcontext
-from dataclasses import asdict, fields, replace
-from pathlib import Path
 
 from matplotlib import colormaps
 
 import eipo
 import tasks
-import train
-from lab import record
-from runtime import run_folder
-from runtime.flags import Options, parse, settle
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
@@ -31,62 +24,56 @@ SWEEPS = dict(
         ("curriculum", flags)
         for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))
     ],
-    fig6=[("velocity", flags) for flags in (EIPO, PPO[0.01])],
+    fig6=[("velocity", flags) for flags in (EIPO, PPO[0], PPO[0.0001], PPO[0.01])],
     table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())],
 )
-# 3 as in V-D, 1 where runs are many or long
-SEEDS = dict(fig2=3, fig3=3, fig4=1, fig5=1, fig6=3, table1=3)
 
 
-def by_label(folders, task):
-    """The run folders of one task by kind: {"EIPO": [folder of a seed, ...], "PPO(0)": ...}.
+def commands(what, seeds, flags):
+    """Yields the train.py commands of the runs behind a figure; flags: added to each."""
+    if what not in SWEEPS:
+        raise ValueError(f"sweep takes one of {', '.join(SWEEPS)}")
+    for task, setting in SWEEPS[what]:
+        for seed in seeds:
+            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
+            yield shlex.join(["python", "train.py", *argv])
 
-    One kind with two numbers of robots is two kinds. Raises ValueError if there are no runs, and
-    for two runs of one kind that differ in more than the seed, or not in it.
+
+def kind(settings):
+    """What the figures call a run with these settings, {name: setting}."""
+    s = settings
+    usual = eipo.Config(**tasks.TASKS[s["task"]].learner)
+    name = "EIPO" if s["algo"] == "eipo" else f"PPO({s['lam']:g})"
+    if s["algo"] == "eipo":
+        name += f" from {s['lam']:g}" * (s["lam"] != usual.lam)
+        name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != usual.lr_alpha)
+    name += " smooth" * (s["aux"] == "smooth") + " shaped" * (s["reward"] == "shaped")
+    return name + f", {s['num_envs']} robots" * (s["num_envs"] != usual.num_envs)
+
+
+def by_kind(runs, task):
+    """The runs of one task by kind: {"EIPO": [a Run of each seed, ...], "PPO(0)": ...}.
+
+    Raises ValueError if there are no runs, and if two of one kind differ in more than the seed, or
+    not in it: such runs are no sample of anything.
     """
-    configs = {folder: run_folder.load_config(folder) for folder in map(Path, folders)}
-    configs = {folder: both for folder, both in configs.items() if both[0].task == task}
-    if not configs:
-        raise ValueError(f"none of the run folders is of the task {task}")
-    sizes = {}
-    for env_cfg, cfg in configs.values():
-        sizes.setdefault(kind(env_cfg, cfg), set()).add(cfg.num_envs)
-    groups = {}
-    for folder, (env_cfg, cfg) in configs.items():
-        name = kind(env_cfg, cfg)
-        name += f", {cfg.num_envs} robots" if len(sizes[name]) > 1 else ""
-        groups.setdefault(name, {})[folder] = asdict(env_cfg) | asdict(read_by(cfg))
-    for name, runs in groups.items():
-        (first, settings), *others = runs.items()
-        for folder, other in others:
-            differing = [field for field in settings if settings[field] != other[field]]
-            if differing != ["seed"]:
-                what = f"differ in {', '.join(differing)}" if differing else "have the same seed"
-                raise ValueError(
-                    f"{first} and {folder} are both {name} but {what}: give one of them"
-                )
-    order = {name: i for i, name in enumerate(KINDS)}
-    return {
-        name: list(groups[name])
-        for name in sorted(groups, key=lambda x: (order.get(x.split(",")[0], 99), x))
-    }
-
-
-def kind(env_cfg, cfg):
-    """What the figures call a run: EIPO or PPO(lambda), with another lambda_0, cost or reward."""
-    usual = eipo.Config(**tasks.TASKS[env_cfg.task].learner)
-    if cfg.algo == "ppo":
-        name = f"PPO({cfg.lam:g})"
-    else:
-        name = "EIPO" + f" from {cfg.lam:g}" * (cfg.lam != usual.lam)
-        name += f" at eta_alpha {cfg.lr_alpha:g}" * (cfg.lr_alpha != usual.lr_alpha)
-    return name + " smooth" * (env_cfg.aux == "smooth") + " shaped" * (env_cfg.reward == "shaped")
-
-
-def read_by(cfg):
-    """cfg as PPO reads it. Runs of PPO that differ only in the steps of alpha are the same."""
-    steps = {f.name: f.default for f in fields(cfg) if f.name.endswith("_alpha")}
-    return replace(cfg, **steps) if cfg.algo == "ppo" else cfg
+    kinds = {}
+    for run in runs:
+        if run.settings["task"] == task:
+            kinds.setdefault(kind(run.settings), []).append(run)
+    if not kinds:
+        raise ValueError(f"none of the runs is of the task {task}")
+    for name, (first, *others) in kinds.items():
+        for other in others:
+            names = first.settings.keys() & other.settings.keys()
+            names = {x for x in names if first.settings[x] != other.settings[x]}
+            if first.settings["algo"] == "ppo":  # which reads no step of alpha
+                names = {x for x in names if not x.endswith("_alpha")}
+            if names != {"seed"}:
+                what = f"differ in {', '.join(sorted(names))}" if names else "have the same seed"
+                raise ValueError(f"{first.name} and {other.name} are both {name} but {what}")
+    place = {name: i for i, name in enumerate(KINDS)}
+    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 99), x[0])))
 
 
 def color(name):
@@ -99,57 +86,3 @@ def color(name):
     lam = float(name[len("PPO(") : name.index(")")])
     group = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
     return colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[group])
-
-
-def missing_runs(what, flags):
-    """Yields the train.py commands that a figure or the table still lacks; flags: added to each."""
-    if what not in SWEEPS:
-        raise ValueError(f"missing takes one of {', '.join(SWEEPS)}, and flags of train.py")
-    own = {"--task", "--algo", "--lam", "--seed", "--out", "--resume"}
-    own |= {flag for _, setting in SWEEPS[what] for flag in setting if flag[:2] == "--"}
-    taken = [flag for flag in flags if flag.split("=")[0] in own]
-    if taken:
-        raise ValueError(f"missing sets {taken[0]} itself")
-    for task, setting in SWEEPS[what]:
-        for seed in range(SEEDS[what]):
-            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            if (so_far := progress(argv)) not in ("running", "done"):
-                yield shlex.join(["python", "train.py", *argv, *(["--resume"] if so_far else [])])
-
-
-def progress(argv):
-    """How far the run of these arguments of train.py is: "", "running", "started" or "done".
-
-    A run is also done if `python -m lab add` has put it into results/.
-    """
-    options, given_env, given_learner = parse(argv)
-    env_cfg, cfg = settle(given_env, given_learner)
-    folder = train.run_path(Options(**options), env_cfg, cfg)
-    if running(folder):
-        return "running"
-    if in_results(folder.name, env_cfg, cfg):
-        return "done"
-    if not (folder / "checkpoint.npz").exists():
-        return ""
-    # raises if it is a run of other settings
-    train.settle_resumed(folder, asdict(env_cfg), asdict(cfg))
-    return "done" if record.last_iteration(folder) >= cfg.iterations else "started"
-
-
-def running(folder):
-    """Whether a process is training in the folder."""
-    try:
-        with run_folder.lock(folder) if (folder / "lock").exists() else nullcontext():
-            return False
-    except (ValueError, OSError) as error:
-        return isinstance(error, ValueError)
-
-
-def in_results(name, env_cfg, cfg):
-    """Whether the tables of results/ have the run of this name, with these settings, to its end."""
-    for row in record.read(record.RESULTS / env_cfg.task / record.RUNS):
-        if row["run"] == name:
-            kept_env, kept = record.settings(row)
-            same = (kept_env, read_by(kept)) == (env_cfg, read_by(cfg))
-            return same and int(row["iterations"]) >= cfg.iterations
-    return False

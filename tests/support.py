@@ -9,7 +9,6 @@ import threading
 from contextlib import contextmanager
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 

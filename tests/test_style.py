@@ -34,7 +34,6 @@ LAYERS = {
     "runtime/parallel": {"numpy", "jax"},
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
-    "policy": {"numpy"},
     "runtime/flags": set(),
     "runtime/run_folder": {"numpy", "jax"},
     "runtime/deploy": {"numpy"},
