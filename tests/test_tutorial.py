@@ -39,8 +39,6 @@ BLOCK = re.compile(r"^```(\w+)\n((?:.*\n)*?)^```$", re.M)  # language, content
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 QUOTED = re.compile(r"# quoted from (\S+)\n")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
-# figures of policies that walk: another machine's rounding grows with every step of theirs
-WALKED = {"hop", "leap", "valley"}
 MODULES = {path.stem for path in ROOT.glob("*.py")} | {"tutorial"}
 
 
@@ -143,21 +141,15 @@ def read_csv(path):
 
 
 def test_figures_show_what_the_page_computed(page):
-    """Data beside data: every number of tutorial/*.csv, and no pixel. Of WALKED it is the mean of
-    each column.
-    """
+    """Data beside data: every number of tutorial/*.csv, and no pixel."""
     drawn = page[1]
     assert set(drawn) == set(figures.FIGURES) == {path.stem for path in figures.HERE.glob("*.csv")}
     for name, columns in drawn.items():
         saved = read_csv(figures.HERE / f"{name}.csv")
         assert list(saved) == list(columns), name
         for key, x in columns.items():
-            now, before = np.ravel(x), np.array(saved[key])
-            if name in WALKED:
-                now, before = now.mean(), before.mean()
-            scale = np.abs(x).max() * (100 if name in WALKED else 1)
             np.testing.assert_allclose(
-                now, before, rtol=1e-3, atol=1e-3 * scale, err_msg=f"{name}: {key}"
+                np.ravel(x), saved[key], rtol=1e-3, atol=1e-3 * np.abs(x).max(), err_msg=name
             )
 
 
