@@ -1,0 +1,71 @@
+"""Footfalls: which foot is on the ground when, at several commands."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import evaluate
+import go1
+import tasks
+
+SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
+COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
+
+
+class Watched:
+    """A mujoco.batch.Batch that calls look() after each of its physics steps."""
+
+    def __init__(self, batch, look):
+        self.batch = batch
+        self.look = look
+
+    def __getattr__(self, name):
+        return getattr(self.batch, name)
+
+    def step(self):
+        """Step all robots, and look at them."""
+        self.batch.step()
+        self.look()
+
+
+def watch(policy, env, commands):
+    """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool in T physics steps, and speeds (N,) [m/s].
+
+    Arguments are those of `evaluate.steps`. Recording begins when SETTLE has passed.
+    """
+    contacts = []
+    speeds = []
+    env.batch = Watched(env.batch, lambda: contacts.append(env.contacts[:, -4:] > 0))
+    first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
+    for i, (_, log, _, _) in enumerate(evaluate.steps(policy, env, commands)):
+        speeds.append(log["v_x"])
+        if i + 1 == last:
+            break
+    physics_steps = env.env_cfg.physics_steps
+    return np.array(contacts[first * physics_steps :]), np.mean(speeds[first:], 0)
+
+
+def draw(axes, contact, timestep, title):
+    """Draw the contacts (T, 4) of a robot as a bar for each foot; timestep: [s] of a row."""
+    time = timestep * np.arange(len(contact))
+    for j, on_ground in enumerate(contact.T):
+        bar = dict(where=on_ground, step="post", color=COLORS[j], linewidth=0)
+        axes.fill_between(time, -j - 0.4, -j + 0.4, **bar)
+    axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, xlim=(0, time[-1]), title=title)
+
+
+def footfalls(folder, speeds):
+    """Bars where the feet of a folder's robots touch the ground, which began in the nominal pose.
+
+    speeds: [m/s] ahead, asked for, a robot each; a task without such commands has one robot
+    """
+    policy, env = evaluate.load(folder, len(speeds), nominal=True)
+    contacts, reached = watch(policy, env, np.outer(speeds, [1.0, 0.0, 0.0]))
+    asks = tasks.TASKS[env.env_cfg.task].commands().high[0] > 0
+    speeds = speeds if asks else speeds[:1]
+    figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")
+    panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]
+    for i, axes in enumerate(panels):
+        asked = f"asked for {speeds[i]:g} m/s, " if asks else ""
+        draw(axes, contacts[:, i], env.env_cfg.timestep, f"{asked}moves at {reached[i]:.2f} m/s")
+    panels[-1].set_xlabel("time [s]")
+    return figure
