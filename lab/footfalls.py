@@ -46,11 +46,13 @@ def watch(policy, env, commands):
 
 def draw(axes, contact, timestep, title):
     """Draw the contacts (T, 4) of a robot as a bar for each foot; timestep: [s] of a row."""
-    time = timestep * np.arange(len(contact))
     for j, on_ground in enumerate(contact.T):
-        bar = dict(where=on_ground, step="post", color=COLORS[j], linewidth=0)
-        axes.fill_between(time, -j - 0.4, -j + 0.4, **bar)
-    axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, xlim=(0, time[-1]), title=title)
+        changes = np.flatnonzero(np.diff(np.concatenate([[0], on_ground, [0]])))
+        first, end = timestep * changes.reshape(-1, 2).T
+        bars = np.column_stack([first, end - first])
+        axes.broken_barh(bars, (-j - 0.4, 0.8), color=COLORS[j])
+    axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, title=title)
+    axes.set_xlim(0, timestep * len(contact))
 
 
 def footfalls(folder, speeds):

@@ -91,14 +91,15 @@ def commands(maps):
 
 # ---- runs that are kept in results/ ----
 
-tables = lru_cache(record.groups)  # the page asks for several runs of one file
+table = lru_cache(record.read)  # the page asks for several runs of one file
 
 
 def kept(run):
     """The columns of metrics.csv of a run, TASK/NAME, of which results/ keeps every tenth row."""
     task, name = run.split("/")
-    rows = tables(RESULTS / task / record.METRICS)[name]
-    return {key: np.array([row[key] for row in rows], float) for key in record.without_run(rows[0])}
+    rows = [row for row in table(RESULTS / task / record.METRICS) if row["run"] == name]
+    columns = [key for key, x in rows[0].items() if x and key != "run"]
+    return {key: np.array([row[key] for row in rows], float) for key in columns}
 
 
 def training(runs):
