@@ -5,7 +5,6 @@ from matplotlib.figure import Figure
 
 import evaluate
 import go1
-import tasks
 
 SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
 COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
@@ -62,7 +61,7 @@ def footfalls(folder, speeds):
     """
     policy, env = evaluate.load(folder, len(speeds), nominal=True)
     contacts, reached = watch(policy, env, np.outer(speeds, [1.0, 0.0, 0.0]))
-    asks = tasks.TASKS[env.env_cfg.task].commands().high[0] > 0
+    asks = len(evaluate.commands_of(env.env_cfg.task)) > 1
     speeds = speeds if asks else speeds[:1]
     figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")
     panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]
