@@ -193,8 +193,10 @@ def main(argv):
         with run_folder.lock(folder) if is_main else nullcontext():
             stopped = train(folder, env_cfg, cfg, options, command)
     except (ValueError, OSError, jax.errors.JaxRuntimeError) as error:
-        print(f"train.py: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        if jax.distributed.is_initialized():
+        joined = jax.distributed.is_initialized()
+        lost = "has another process ended? " * (joined and isinstance(error, RuntimeError))
+        print(f"train.py: {lost}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        if joined:
             os._exit(2)  # Python's own way would wait for the others
         return 2
     if stopped and is_main:

@@ -9,6 +9,7 @@ the first device that it sees.
 
 import io
 import socket
+import sys
 
 import jax
 import numpy as np
@@ -36,6 +37,8 @@ def join(coordinator, processes, process):
     try:
         if process == 0:  # JAX may crash without a word where the port is taken
             socket.create_server(("", int(port))).close()
+        # if they do not come, JAX aborts in C++
+        print(f"waiting {JOIN} s for {processes} processes at {coordinator}", file=sys.stderr)
         jax.distributed.initialize(coordinator, processes, process, **times)
     except (RuntimeError, OSError, OverflowError) as error:
         raise ValueError(f"{coordinator}: the processes did not meet there: {error}") from None
