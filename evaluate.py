@@ -166,12 +166,6 @@ def commands_of(task):
     return COMMANDS if tasks.TASKS[task].commands().high[0] > 0 else np.zeros((1, 3))
 
 
-def finite_mean(x):
-    """Mean of the finite numbers of x, or NaN if there are none."""
-    x = np.ravel(x)[np.isfinite(np.ravel(x))]
-    return x.mean() if x.size else np.nan
-
-
 def interval(x, statistic=np.mean, **options):
     """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [IV-D].
 

@@ -206,7 +206,8 @@ def play(folder, task, num_episodes):
     asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
     for policy, file in POLICIES.items():
         for nominal in (False, True) if (folder / file).exists() else ():
-            act, env = load(folder, len(asked), policy, nominal)
+            prime = policy == "prime"
+            act, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
             played = evaluate.run_episodes(act, env, asked)
             world = env.env_cfg
             table = dict(start_spread=world.start_spread, least_roughness=world.roughness[0])
@@ -218,12 +219,6 @@ def play(folder, task, num_episodes):
                 cells = (f"{x:.5g}" for x in numbers)
                 about = dict(run=folder.name, policy=policy)
                 yield about | dict(zip(table, cells, strict=True))
-
-
-def load(folder, num_episodes, policy="pi", nominal=False):
-    """A policy of a folder, and its environment in the paper's evaluation."""
-    roughness = evaluate.ROUGHNESS.get(run_folder.load_config(folder)[0].task)
-    return evaluate.load(folder, num_episodes, None, roughness, nominal, policy == "prime")
 
 
 def scores(run):
@@ -239,10 +234,10 @@ def speed_rows(folder, num_episodes):
     """Yields the mean speed [m/s] of the robots that have not fallen, and the time [s] since the
     start, of each period of the clock, which smooths the strides.
     """
-    policy, env = load(folder, num_episodes)
+    policy, env = evaluate.load(folder, num_episodes)
     log = [np.where(up, log["v_x"], np.nan) for _, log, up, _ in evaluate.play_episode(policy, env)]
     strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
     for steps in np.array_split(np.arange(len(log)), strides):
         time = env.period * (steps.mean() + 0.5)
-        v_x = evaluate.finite_mean(np.array(log)[steps])
+        v_x = statistics.finite_mean(np.array(log)[steps])
         yield dict(run=folder.name, time=f"{time:.5g}", v_x=f"{v_x:.5g}")
