@@ -127,53 +127,29 @@ def check_world(env_cfg):
 def check_learner(cfg, processes=1):
     """Raise ValueError for an eipo.Config that would train nonsense without a word."""
     policies = 2 if cfg.algo == "eipo" else 1
-    samples = cfg.num_steps * cfg.num_envs // policies
+    shares = policies * processes
+    batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
-    for wrong, why in (
-        (cfg.algo == "ppo" and not cfg.lam >= 0, f"lam is {cfg.lam}: it must not be negative"),
-        (
-            cfg.algo == "eipo" and not cfg.lam > 0,
-            f"lam is {cfg.lam}: EIPO starts at alpha = 1 / lam, so it must be positive",
-        ),
-        (
-            cfg.algo == "ppo" and cfg.alpha0 is not None,
-            "alpha0 is EIPO's: PPO's alpha is 1 / lam, so give --lam",
-        ),
-        (
-            cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1],
-            f"lr is {cfg.lr}: with a target_kl it stays within {LR_RANGE}, or give --target-kl 0",
-        ),
-        (
-            cfg.mirror and any(n % 2 for n in units),
-            f"hidden layers of {units} units: one of odd width has no halves, or give --no-mirror",
-        ),
-        (
-            cfg.num_envs % (policies * processes),
-            f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have equal "
-            f"shares, so it must be a multiple of {policies * processes}",
-        ),
-        (
-            samples < cfg.num_minibatches,
-            "num_steps * num_envs gives each policy fewer samples than num_minibatches",
-        ),
-        (
-            samples // cfg.num_minibatches % processes,
-            f"a minibatch of {samples // cfg.num_minibatches} samples has no equal shares for "
-            f"{processes} processes",
-        ),
-    ):
-        if wrong:
-            raise ValueError(why)
-
-
-# ---- settings in JSON ----
+    what = f"lam is {cfg.lam}"
+    if cfg.algo == "eipo" and not cfg.lam > 0:  # nan as well
+        raise ValueError(f"{what}: EIPO starts at alpha = 1 / lam, so it must be positive")
+    if cfg.algo == "ppo" and not cfg.lam >= 0:
+        raise ValueError(f"{what}: it must not be negative")
+    if cfg.algo == "ppo" and cfg.alpha0 is not None:
+        raise ValueError("alpha0 is EIPO's: PPO's alpha is 1 / lam, so give --lam")
+    if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
+        raise ValueError(f"lr is {cfg.lr}: it stays within {LR_RANGE}, or give --target-kl 0")
+    if cfg.mirror and any(n % 2 for n in units):
+        raise ValueError(f"one of {units} hidden units is odd and has no half: or --no-mirror")
+    if cfg.num_envs % shares:
+        what = f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have"
+        raise ValueError(f"{what} equal shares, so it must be a multiple of {shares}")
+    if batch == 0:
+        raise ValueError("num_minibatches is greater than num_steps * num_envs of each policy")
+    if batch % processes:
+        raise ValueError(f"{processes} processes have no equal shares of a minibatch of {batch}")
 
 
 def tuples(record):
-    """The record with its lists turned back into tuples, which JSON does not have."""
+    """The record with its lists turned into tuples, which neither argparse nor JSON makes."""
     return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
-
-
-def to_config(kind, record):
-    """The dataclass `kind` of a record from JSON. TypeError for names that it does not have."""
-    return kind(**tuples(record))

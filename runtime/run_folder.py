@@ -6,7 +6,6 @@
     policy.npz        all that it takes to run the policy pi; EIPO adds policy_prime.npz at the end
     curves.png        the metrics, drawn
     commands.png      on the task `curriculum`: which commands it has reached
-    episodes.csv.gz   episodes that `python -m lab` has played with this policy
     lock              empty; a process that trains here holds it
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader
@@ -32,14 +31,13 @@ import eipo
 import tasks
 from go1_env import CORES
 from runtime import parallel
-from runtime.flags import to_config
+from runtime.flags import tuples
 
 try:
     import fcntl
 except ImportError:
     fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
 
-EPISODES = "episodes.csv.gz"
 # environment variable from which JAX takes its number of threads on a CPU
 JAX_THREADS = "PJRT_NPROC"
 
@@ -136,7 +134,7 @@ def load_config(folder):
 
 def to_configs(record):
     """The tasks.Config and eipo.Config of a record from JSON with "env" and "learner"."""
-    return tasks.read_config(record["env"]), to_config(eipo.Config, record["learner"])
+    return tasks.read_config(record["env"]), eipo.Config(**tuples(record["learner"]))
 
 
 # ---- checkpoint.npz ----
