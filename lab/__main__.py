@@ -40,7 +40,6 @@ def parse(argv):
     add("--results", type=Path, default=record.RESULTS, help="folder of the tables")
     add("--episodes", type=int, help="to play, per policy and kind of start")
     add("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s of v_x")
-    add("--commit", default="", help="that claims and promise are of")
     add("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of sweep")
     args = parser.parse_args(argv)
     if not args.what and args.name not in ("claims", "promise"):
@@ -58,12 +57,12 @@ def run(args):
     if args.name == "table":
         return claims.table(record.runs(args.what))
     if args.name == "claims":
-        return claims.claim_lines(claims.counted(args.results, args.commit))
+        return claims.claim_lines(claims.counted(args.results))
     lines = rows = ()
     if args.name == "footfalls":
         figure = footfalls.footfalls(args.what[0], args.command)
     elif args.name == "promise":
-        arms = claims.counted(args.results, args.commit)
+        arms = claims.counted(args.results)
         rows, figure = claims.promise(arms)
         lines = claims.promise_lines(arms)
     else:

@@ -2,8 +2,8 @@
 
 A claim compares two kinds of runs by one number of each seed, from kept episodes. The promise
 compares pi with the pi' of its own run, and what says whether pi' was needed stands beside it: pi'
-against PPO(0), and PPO(lambda) against PPO(0). Runs count whose seed is one of the rules, and all
-of them must be of one commit.
+against PPO(0), and PPO(lambda) against PPO(0). Runs count whose seed is one of the rules, and those
+of a task must be of one commit.
 """
 
 import numpy as np
@@ -52,24 +52,23 @@ CLAIMS = [
 ]
 
 
-def counted(results=record.RESULTS, commit=""):
+def counted(results=record.RESULTS):
     """The runs that count, by task and kind: {task: {kind: [Run, ...]}}. "pi' of EIPO" is a kind.
 
-    commit: how the commit begins, of which they are. Raises ValueError if they are of several.
+    Raises ValueError if those of a task are of several commits.
     """
-    places = [results / task for task in TASKS if (results / task / record.RUNS).exists()]
-    runs = [
-        run
-        for run in record.runs(place / "*" for place in places)
-        if run.episodes and run.settings["seed"] in SEEDS and run.row["commit"].startswith(commit)
-    ]
-    if len(commits := {run.row["commit"] for run in runs}) > 1:
-        raise ValueError(f"no comparison mixes commits: give one of {', '.join(sorted(commits))}")
-    arms = {task: {} for task in TASKS}
-    for task in {run.settings["task"] for run in runs}:
-        for kind, arm in sweep.by_kind(runs, task).items():
-            arms[task][kind] = arm
-            arms[task][f"pi' of {kind}"] = [x._replace(episodes=x.prime) for x in arm if x.prime]
+    arms = {}
+    for task in TASKS:
+        place = results / task
+        runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
+        runs = [run for run in runs if run.episodes and run.settings["seed"] in SEEDS]
+        if len(commits := {run.row["commit"] for run in runs}) > 1:
+            raise ValueError(f"no comparison mixes commits: {', '.join(sorted(commits))}")
+        kinds = sweep.by_kind(runs, task) if runs else {}
+        arms[task] = kinds | {
+            f"pi' of {kind}": [run._replace(episodes=run.prime) for run in arm if run.prime]
+            for kind, arm in kinds.items()
+        }
     return arms
 
 
@@ -120,14 +119,13 @@ def at_every_command(left, right, name, claimed):
 
 def shown(compared, name):
     """A Comparison as cells: means, difference and its interval, Welch's interval."""
+    ratio = name in RATIOS
     digits = {"performance": 4, "peak": 2}.get(name, 0)
     means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
-    ends = compared.difference, *compared.wide, *compared.welch
-    ends = (
-        [f"{x:.2f}" for x in np.exp(ends)] if name in RATIOS else [f"{x:+.{digits}f}" for x in ends]
-    )
+    ends = np.array([compared.difference, *compared.wide, *compared.welch])
+    ends = [f"{x:.2f}" for x in np.exp(ends)] if ratio else [f"{x:+.{digits}f}" for x in ends]
     center, low, high, *welch = ends
-    return means, f"{'x ' * (name in RATIOS)}{center} [{low}, {high}]", f"[{', '.join(welch)}]"
+    return means, f"{'x ' * ratio}{center} [{low}, {high}]", f"[{', '.join(welch)}]"
 
 
 # ---- the claims ----
@@ -274,23 +272,24 @@ def promise(arms):
     rows = []
     for task, left, right in rivals(arms):
         if decides(left, right):
-            for sides in zip(*paired(arms[task], left, right), strict=True):
-                (performance, rival), (power, other) = (
-                    numbers(sides, name) for name in ("performance", "power")
-                )
-                run = sides[0]
+            sides = paired(arms[task], left, right)
+            performance, power = (
+                [numbers(runs, name) for runs in sides] for name in ("performance", "power")
+            )
+            columns = sides[0], np.subtract(*performance), np.divide(*power)
+            for run, difference, ratio in zip(*columns, strict=True):
                 row = dict(task=task, run=run.name, kind=left, seed=run.settings["seed"])
-                row |= dict(performance_difference=performance - rival, power_ratio=power / other)
-                rows.append(row)
+                rows.append(row | dict(performance_difference=difference, power_ratio=ratio))
     figure, panels = figures.panels_by("task", rows)
     for task, mine, column in panels:
         (axes,) = column
+        if task != "velocity":
+            axes.set_yscale("symlog", linthresh=0.05)  # runs that stand are far below the others
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.axhline(-MARGINS["performance"], color="black", linestyle=":")
         figures.dots(axes, mine, "power_ratio", "performance_difference")
         axes.axhline(0, color="black", linewidth=0.8)
         axes.axvline(1, color="black", linewidth=0.8)
-        if task != "velocity":
-            axes.set_yscale("symlog", linthresh=0.05)  # runs that stand are far below the others
-            axes.axhline(-MARGINS["performance"], color="black", linestyle=":")
         axes.set(xlabel="ratio of power", ylabel="difference of task performance")
         figures.log_axis(axes, "x")
         figures.legend(column)

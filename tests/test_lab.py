@@ -181,7 +181,9 @@ def test_kinds_of_runs():
     }
 
 
-@pytest.mark.parametrize(("other", "says"), [({}, "nothing, not even"), (dict(history=3), "history")])
+@pytest.mark.parametrize(
+    ("other", "says"), [({}, "nothing, not even"), (dict(history=3), "history")]
+)
 def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     """The same kind and seed twice would count one policy double; other settings are another
     experiment.
