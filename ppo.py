@@ -15,7 +15,7 @@ import optax
 
 from mirror import Bases, make_bases
 from networks import init_params, log_prob, policy, value
-from runtime.parallel import spread
+from runtime.parallel import shared
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] so that the policy's noise neither vanishes nor explodes
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: least the lab's, greatest the paper's (D20)
@@ -86,8 +86,7 @@ def ppo_update(learner, tau, est, advantage, key, cfg):
     """
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
     data |= dict(target=est.target, advantage=advantage)
-    # several processes take a part of every minibatch each; on one nothing happens
-    minibatches = spread(shuffled(key, advantage.size, cfg))
+    minibatches = shuffled(key, advantage.size, cfg)
     return ppo_epochs(learner, data, minibatches, cfg)
 
 
@@ -107,10 +106,12 @@ def ppo_epochs(learner, data, minibatches, cfg):
     data = data | dict(advantage=advantage / (jnp.sqrt(jnp.square(advantage).mean()) + 1e-8))
     data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
 
+    def loss(params, data, bases, chosen):
+        return ppo_loss(params, {name: x[chosen] for name, x in data.items()}, bases, cfg)
+
     def step(carry, chosen):
         params, opt_state = carry
-        batch = {name: x[chosen] for name, x in data.items()}
-        gradient, log = jax.grad(ppo_loss, has_aux=True)(params, batch, learner.bases, cfg)
+        gradient, log = shared(jax.grad(loss, has_aux=True))(params, data, learner.bases, chosen)
         direction, opt_state = optimizer(cfg).update(gradient, opt_state)
         params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
         params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
