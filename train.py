@@ -28,7 +28,7 @@ import eipo
 import go1_env
 import tasks
 from runtime import deploy, metrics, parallel, run_folder
-from runtime.flags import Options, check_learner, check_world, parse, settle
+from runtime.flags import Options, check, parse, settle
 from runtime.interrupt import StopRequest, say
 
 GIVE_UP = 10  # [ours] iterations without one finite gradient, after which training ends
@@ -182,8 +182,7 @@ def main(argv):
             env_cfg, cfg, threads = resumed_settings(folder, given, options.processes or 1)
         elif (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
-        check_world(env_cfg)
-        check_learner(cfg, options.processes or 1)
+        check(env_cfg, cfg, options.processes or 1)
         pin_jax_threads(threads)
         if meeting != (None, None, None):
             parallel.join(*meeting)
