@@ -123,7 +123,9 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
 
 def saved(env):
     """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    rng = np.array(json.dumps(env.rng.bit_generator.state))
+    rng = np.array(
+        json.dumps(env.rng.bit_generator.state), "U256"
+    )  # of one length on all processes
     return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
 
 
@@ -139,9 +141,10 @@ def save_checkpoint(path, state, envs, cfg):
     """Write the State, the settings, and the environments of every process, which all call this."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
-    own = {f"env{i}.{name}": x for i, env in enumerate(envs) for name, x in saved(env).items()}
-    for process, theirs in enumerate(parallel.gather(own)):
-        arrays |= {f"process{process}.{name}": x for name, x in theirs.items()}
+    for i, env in enumerate(envs):
+        of_all = parallel.everyone({name: x[None] for name, x in saved(env).items()})
+        for name, each in of_all.items():
+            arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
     settings |= dict(jax_threads=os.environ.get(JAX_THREADS), processes=jax.process_count())
     arrays["settings"] = np.array(json.dumps(settings))
