@@ -152,7 +152,8 @@ def test_flags_that_do_not_parse_are_one_line(capsys, given):
 def test_settings_of_ppo_are_checked_as_ppo():
     """One policy takes an odd number of environments, and one sample per minibatch is enough."""
     few = dict(algo="ppo", num_envs=3, num_steps=1)
-    flags.check_learner(eipo.Config())
-    flags.check_learner(eipo.Config(**few, num_minibatches=3))
+    world = tasks.Config()
+    flags.check(world, eipo.Config())
+    flags.check(world, eipo.Config(**few, num_minibatches=3))
     with pytest.raises(ValueError, match="num_minibatches"):
-        flags.check_learner(eipo.Config(**few, num_minibatches=4))
+        flags.check(world, eipo.Config(**few, num_minibatches=4))
