@@ -52,11 +52,11 @@ def resumed_settings(folder, given, processes):
     env_cfg, cfg, threads, was = run_folder.load_settings(folder / "checkpoint.npz")
     if was != processes:
         raise ValueError(f"{folder} is a run on {was} process(es): --resume needs as many")
+    settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
-        has = (asdict(env_cfg) | asdict(cfg))[name]
-        if x != has and not (name == "iterations" and x > has):
-            flag = "--" + name.replace("_", "-")
-            raise ValueError(f"{folder} runs with {flag} {has}: --resume can only raise iterations")
+        if x != settings[name] and not (name == "iterations" and x > settings[name]):
+            what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
+            raise ValueError(f"{what}: --resume can only raise iterations")
     return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
 
 

@@ -1,23 +1,26 @@
-"""The paper's claims by the rules of results/rules.md: `python -m lab claims` prints its rows.
+"""The paper's claims and the promise of Eq. (3), by the rules of results/rules.md.
 
-A row compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
-seed is one of the rules, and all of them must be of one commit.
+A claim compares two kinds of runs by one number of each seed, from kept episodes. The promise
+compares pi with the pi' of its own run, and what says whether pi' was needed stands beside it: pi'
+against PPO(0), and PPO(lambda) against PPO(0). Runs count whose seed is one of the rules, and those
+of a task must be of one commit.
 """
 
 import numpy as np
 
-from lab import record, sweep
-from lab.figures import TABLE1
+from lab import figures, record, sweep
 from lab.statistics import NUMBERS, compare, verdict
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
 TASKS = "flat", "rough", "velocity"
 # A margin is of a difference, or of the logarithm of a ratio.
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
-DIGITS = {"performance": 4, "peak": 2, "power": 0, "J/m": 0}
 RATIOS = "power", "J/m"
 PPO = sweep.KINDS[1:]
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
+# of the sentence about the promise
+LAMBDA_0 = "EIPO", "EIPO from 0.0001", "EIPO from 0.01", "EIPO from 0.02"
+SEARCHED = "PPO(0.002)", "PPO(0.005)", "PPO(0.01)"
 # the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
     (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
@@ -49,55 +52,63 @@ CLAIMS = [
 ]
 
 
-def counted(results=record.RESULTS, commit=""):
-    """The runs that count, by task and kind: {task: {kind: {seed: Run}}}.
+def counted(results=record.RESULTS):
+    """The runs that count, by task and kind: {task: {kind: [Run, ...]}}. "pi' of EIPO" is a kind.
 
-    commit: how the commit begins, of which they are. Raises ValueError if they are of several.
+    Raises ValueError if those of a task are of several commits.
     """
-    places = [results / task for task in TASKS if (results / task / record.RUNS).exists()]
-    runs = [run for run in record.runs(place / "*" for place in places) if run.episodes]
-    runs = [run for run in runs if run.settings["seed"] in SEEDS]
-    runs = [run for run in runs if run.row["commit"].startswith(commit)]
-    if len(commits := {run.row["commit"] for run in runs}) > 1:
-        raise ValueError(f"no comparison mixes commits: give one of {', '.join(sorted(commits))}")
-    arms = {task: {} for task in TASKS}
-    for run in runs:
-        kinds = arms[run.settings["task"]]
-        kinds.setdefault(sweep.kind(run.settings), {})[run.settings["seed"]] = run
+    arms = {}
+    for task in TASKS:
+        place = results / task
+        runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
+        runs = [run for run in runs if run.episodes and run.settings["seed"] in SEEDS]
+        if len(commits := {run.row["commit"] for run in runs}) > 1:
+            raise ValueError(f"no comparison mixes commits: {', '.join(sorted(commits))}")
+        kinds = sweep.by_kind(runs, task) if runs else {}
+        arms[task] = kinds | {
+            f"pi' of {kind}": [run._replace(episodes=run.prime) for run in arm if run.prime]
+            for kind, arm in kinds.items()
+        }
     return arms
 
 
-def numbers(arm, name, commands=ALL, policy="pi"):
-    """One of NUMBERS of each seed: {seed: number}.
+# ---- comparisons ----
 
-    arm: {seed: Run}; commands: (from, to) [m/s], the commands v_x that count
-    """
+
+def paired(kinds, left, right):
+    """The runs of two kinds with the seeds that both have: [Run, ...] each, in the same order."""
+    left, right = (
+        {run.settings["seed"]: run for run in kinds.get(kind, [])} for kind in (left, right)
+    )
+    seeds = sorted(left.keys() & right.keys())
+    return [left[seed] for seed in seeds], [right[seed] for seed in seeds]
+
+
+def numbers(runs, name, commands=ALL):
+    """One of NUMBERS of each run (n,), of the commands v_x from ... to ... [m/s]."""
     low, high = commands
-    found = {}
-    for seed, run in arm.items():
-        e = record.evaluation(run, policy)
+    found = []
+    for e in map(record.evaluation, runs):
         mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
-        if mine.any():
-            found[seed] = NUMBERS[name]({column: x[mine] for column, x in e.items()})
-    return found
+        found.append(NUMBERS[name](record.where(mine, e)))
+    return np.array(found)
 
 
-def decide(left, right, name, claimed):
-    """The Comparison of two arms {seed: number} and its verdict by the rules."""
-    common = left.keys() & right.keys()
-    if not np.isfinite([arm[seed] for arm in (left, right) for seed in common]).all():
+def decide(left, right, name, claimed="similar", commands=ALL):
+    """The Comparison of two arms, [Run, ...] with the same seeds, and its verdict by the rules."""
+    x, y = (numbers(runs, name, commands) for runs in (left, right))
+    if not np.isfinite([x, y]).all():
         return None, "no verdict, a run stands"
-    if (compared := compare(left, right, name in RATIOS)) is None:
+    if len(x) < 3:
         return None, "not tested"
+    compared = compare(x, y, name in RATIOS)
     return compared, verdict(compared, claimed, MARGINS[name])
 
 
 def at_every_command(left, right, name, claimed):
     """The verdict on a claim about each of the eleven commands, and where it is what."""
-    words = []
-    for v_x in np.arange(11) / 10:
-        sides = (numbers(arm, name, (v_x, v_x)) for arm in (left, right))
-        words.append(decide(*sides, name, claimed)[1].split(",")[0])
+    words = [decide(left, right, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
+    words = [word.split(",")[0] for word in words]
     counts = {word: words.count(word) for word in dict.fromkeys(words)}
     if "not tested" in counts:
         return "not tested"
@@ -108,49 +119,39 @@ def at_every_command(left, right, name, claimed):
 
 def shown(compared, name):
     """A Comparison as cells: means, difference and its interval, Welch's interval."""
-    digits = DIGITS[name]
+    ratio = name in RATIOS
+    digits = {"performance": 4, "peak": 2}.get(name, 0)
     means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
-    if name in RATIOS:
-        center, *ends = np.exp([compared.difference, *compared.wide, *compared.welch])
-        center, (low, high, *welch) = f"x {center:.2f}", (f"{x:.2f}" for x in ends)
-    else:
-        center, *ends = (
-            f"{x:+.{digits}f}" for x in (compared.difference, *compared.wide, *compared.welch)
-        )
-        low, high, *welch = ends
-    return means, f"{center} [{low}, {high}]", f"[{', '.join(welch)}]"
+    ends = np.array([compared.difference, *compared.wide, *compared.welch])
+    ends = [f"{x:.2f}" for x in np.exp(ends)] if ratio else [f"{x:+.{digits}f}" for x in ends]
+    center, low, high, *welch = ends
+    return means, f"{'x ' * ratio}{center} [{low}, {high}]", f"[{', '.join(welch)}]"
 
 
-def printed(number, left, right, compared):
-    """Whether the paper's own difference lies in our interval, where it prints one; as text."""
-    if number not in (23, 24):
-        return ""
-    size = TABLE1[left][0] - TABLE1[right][0]
-    inside = compared.wide[0] <= size <= compared.wide[1]
-    return f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
+# ---- the claims ----
 
 
-def lines(arms):
+def claim_lines(arms):
     """Yields the rows of the claims as lines of Markdown; arms: of `counted`."""
     yield "| no. | what | claimed | seeds | means | difference [95 %] | Welch | verdict |"
     yield "|---" * 8 + "|"
     for number, task, name, commands, left, right, claimed in CLAIMS:
-        sides = [arms[task].get(kind, {}) for kind in (left, right)]
         where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
         where = "" if commands == ALL else where
         what = f"{task}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
-        cells = ["", "", "", ""]
+        sides = paired(arms[task], left, right)
         if commands == EVERY:
-            word = at_every_command(*sides, name, claimed)
+            compared, word = None, at_every_command(*sides, name, claimed)
         else:
-            sides = [numbers(arm, name, commands) for arm in sides]
-            compared, word = decide(*sides, name, claimed)
-            if compared:
-                cells = [f"{compared.seeds}", *shown(compared, name)]
-                word += printed(number, left, right, compared)
-                least = compared.visible
-                seen = f"x {np.exp(least):.2f}" if name in RATIOS else f"{least:.2g}"
-                word = word.replace("undecided", f"undecided, would see {seen}")
+            compared, word = decide(*sides, name, claimed, commands)
+        cells = [str(compared.seeds), *shown(compared, name)] if compared else [""] * 4
+        if word == "undecided" and compared:
+            seen = compared.visible
+            word += f", would see {f'x {np.exp(seen):.2f}' if name in RATIOS else f'{seen:.2g}'}"
+        if number in (23, 24) and compared:  # the paper prints a difference
+            size = figures.TABLE1[left] - figures.TABLE1[right]
+            inside = compared.wide[0] <= size <= compared.wide[1]
+            word += f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
         yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
     yield "\nRows 26 to 31 are not tested: no run of the curriculum counts."
 
@@ -164,15 +165,132 @@ def table(runs):
     yield "|---" * 8 + "|"
     runs = [run for run in runs if run.episodes]
     for task in dict.fromkeys(run.settings["task"] for run in runs):
-        score = NUMBERS["peak" if task == "velocity" else "performance"]
+        score = figures.SCORES[task]
         for kind, seeds in sweep.by_kind(runs, task).items():
-            random = [record.evaluation(run) for run in seeds]
-            nominal = [record.evaluation(run, nominal=True) for run in seeds]
-            each = [score(e) for e in random]
-            shares = (100 * np.mean([e["fell"].mean() for e in x]) for x in (random, nominal))
-            means = (np.mean([NUMBERS[name](e) for e in random]) for name in ("power", "J/m"))
-            cells = [task, kind, str(len(seeds))]
-            cells += [f"{np.mean(each):.3f}; {', '.join(f'{x:.3f}' for x in each)}"]
-            cells += [f"{x:.1f} %" for x in shares]
-            cells += [f"{x:.0f} {unit}" for x, unit in zip(means, ("W", "J/m"), strict=True)]
+            rows = [record.scores(run) for run in seeds]
+            mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
+            each = ", ".join(f"{row[score]:.3f}" for row in rows)
+            cells = [task, kind, str(len(seeds)), f"{mean[score]:.3f}; {each}"]
+            cells += [f"{100 * mean[x]:.1f} %" for x in ("fell", "fell_nominal")]
+            cells += [f"{mean['power']:.0f} W", f"{mean['J/m']:.0f} J/m"]
             yield f"| {' | '.join(cells)} |"
+
+
+# ---- the promise of Eq. (3) ----
+
+
+def rivals(arms):
+    """Yields (task, left, right), two kinds of runs, for every comparison of the promise.
+
+    Whether a kind lands is a matter of the first one: EIPO against its own pi', PPO against PPO(0).
+    """
+    for task, kinds in arms.items():
+        for kind in sorted(kinds.keys() - {"PPO(0)"}):
+            if kind.startswith("EIPO"):
+                prime = f"pi' of {kind}"
+                yield from ((task, kind, prime), (task, prime, "PPO(0)"), (task, kind, "PPO(0)"))
+            elif kind.startswith("PPO"):
+                yield task, kind, "PPO(0)"
+
+
+def decides(left, right):
+    """Whether a comparison decides if the left side lands."""
+    return left.startswith("PPO") or right.startswith("pi'")
+
+
+def lands(no_worse, less):
+    """Whether an arm lands, by the verdicts that its performance is no worse and its power less."""
+    words = no_worse, less.split(",")[0]
+    if "reversed" in words:
+        return "fails"
+    if "not tested" in words:
+        return "not tested"
+    return "holds" if words == ("holds", "holds") else "undecided"
+
+
+def falls(runs):
+    """The shares of falls of runs from random and from nominal starts, as text in percent."""
+    rows = [record.scores(run) for run in runs]
+    shares = ([row[name] for row in rows] for name in ("fell", "fell_nominal"))
+    return " and ".join(f"{100 * np.mean(x):.1f}" for x in shares if x)
+
+
+def sentence(landed, no_worse):
+    """What becomes of "whatever lambda_0, EIPO lands where PPO lands only with a lambda that was
+    searched for": carried, refuted, or undecided by which arms.
+
+    landed: {kind: whether it lands}; no_worse: {kind: the verdict that EIPO is no worse than
+    PPO(0)}
+    """
+    ppo = {landed.get(kind) for kind in SEARCHED}
+    words = {kind: landed.get(kind) for kind in LAMBDA_0}
+    words |= {f"{kind} against PPO(0)": no_worse.get(kind) for kind in LAMBDA_0}
+    if {"fails", "reversed"} & {*words.values()} or ppo == {"holds"}:
+        return "refuted"
+    undecided = [what for what, word in words.items() if word != "holds"]
+    undecided += [f"PPO, of which none {word}" for word in ("holds", "fails") if word not in ppo]
+    return f"undecided, by {', '.join(undecided)}" if undecided else "carried"
+
+
+def promise_lines(arms):
+    """Yields a line of Markdown for each comparison, then the sentence and what it hides."""
+    claimed = {"performance": "no worse", "power": "<", "J/m": "<", "peak": "no worse"}
+    yield f"| task | what | seeds | {' | '.join(claimed)} | falls [%] | of the rival | lands |"
+    yield "|---" * 10 + "|"
+    landed, no_worse = {}, {}
+    for task, left, right in rivals(arms):
+        sides = paired(arms[task], left, right)
+        tested = {name: decide(*sides, name, than) for name, than in claimed.items()}
+        words = {name: word for name, (_, word) in tested.items()}
+        word = ""
+        if decides(left, right) and task != "velocity":
+            word = lands(words["performance"], words["power"])
+        if task == "flat":
+            of = landed if decides(left, right) else no_worse
+            of[left] = word or words["performance"]
+        cells = [shown(x, name)[1] if x else why for name, (x, why) in tested.items()]
+        if task != "velocity":
+            cells[-1] = ""  # nobody asks for a peak there
+        rival = "its pi'" if right.startswith("pi'") else right
+        what = f"{'pi of ' * left.startswith('EIPO')}{left} against {rival}"
+        cells = [task, what, str(len(sides[0])), *cells, *map(falls, sides), word]
+        yield f"| {' | '.join(cells)} |"
+    yield '\n"Whatever lambda_0, EIPO lands where PPO lands only with a lambda that was searched'
+    yield f'for": {sentence(landed, no_worse)}.\n'
+    yield "| power on flat ground | ratio |\n|---|---|"
+    for rival in ("PPO(0.002)", "EIPO"):
+        for kind in (kind for kind in LAMBDA_0 if kind != rival):
+            compared, why = decide(*paired(arms["flat"], kind, rival), "power")
+            yield f"| {kind} / {rival} | {shown(compared, 'power')[1] if compared else why} |"
+
+
+def promise(arms):
+    """Rows of all runs, and a Figure: difference of performance over ratio of power, a dot a run.
+
+    EIPO is compared with the pi_prime of its run, and PPO with PPO(0). Dotted is the margin.
+    """
+    rows = []
+    for task, left, right in rivals(arms):
+        if decides(left, right):
+            sides = paired(arms[task], left, right)
+            performance, power = (
+                [numbers(runs, name) for runs in sides] for name in ("performance", "power")
+            )
+            columns = sides[0], np.subtract(*performance), np.divide(*power)
+            for run, difference, ratio in zip(*columns, strict=True):
+                row = dict(task=task, run=run.name, kind=left, seed=run.settings["seed"])
+                rows.append(row | dict(performance_difference=difference, power_ratio=ratio))
+    figure, panels = figures.panels_by("task", rows)
+    for task, mine, column in panels:
+        (axes,) = column
+        if task != "velocity":
+            axes.set_yscale("symlog", linthresh=0.05)  # runs that stand are far below the others
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.axhline(-MARGINS["performance"], color="black", linestyle=":")
+        figures.dots(axes, mine, "power_ratio", "performance_difference")
+        axes.axhline(0, color="black", linewidth=0.8)
+        axes.axvline(1, color="black", linewidth=0.8)
+        axes.set(xlabel="ratio of power", ylabel="difference of task performance")
+        figures.log_axis(axes, "x")
+        figures.legend(column)
+    return rows, figure

@@ -7,32 +7,22 @@ import io
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
 import evaluate
 from lab import record, statistics, sweep
 from runtime import run_folder
 
-PRINTED = (
-    (2.86, 2.84, 2.89),
-    (2.12, 2.12, 2.12),
-    (1.55, 1.53, 1.56),
-    (1.49, 1.48, 1.50),
-    (1.58, 1.57, 1.60),
-    (1.64, 1.63, 1.65),
-    (1.58, 1.55, 1.60),
-    (1.62, 1.61, 1.62),
-    (1.45, 1.45, 1.46),
-    (1.37, 1.37, 1.37),
-)
-TABLE1 = dict(zip(sweep.KINDS, PRINTED, strict=True))  # m/s and interval, Table I
+PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
+TABLE1 = dict(zip(sweep.KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D45)
-BOTTOM = dict(flat=1.2, rough=0.8)  # task performance at which the y axis begins
-# the score of a run in the pictures of all runs: its name and the label of its axis
-SCORES = dict(
-    flat=("performance", "task performance"),
-    rough=("performance", "task performance"),
-    velocity=("peak", "peak velocity [m/s]"),
+BOTTOM = dict(flat=1.2, rough=0.8)  # of the axis: runs that stand are far below the others
+ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
+# the number by which the runs of a task are judged
+SCORES = dict(flat="performance", rough="performance", velocity="peak", curriculum="performance")
+LABELS = dict(
+    performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
 )
 
 
@@ -50,141 +40,167 @@ def save(out, name, figure, rows=()):
     run_folder.replace_file(out / f"{name}.png", lambda f: image.save(f, "PNG", optimize=True))
 
 
-# ---- over commands ----
+# ---- what the figures share ----
 
 
 def by_command(runs, task, commands, columns, statistic=np.mean):
     """Rows of a CSV: for each kind of run and each command (n, 3), a statistic of some columns of
-    Episodes with its intervals. "energy" is energy per metre.
-
-    They are of random starts, but for `fell_nominal`. Every seed counts with as many episodes.
+    Episodes from random starts, with its intervals. "energy" is energy per metre.
     """
     rows = []
-    runs = [run for run in runs if run.episodes]
-    for name, seeds in sweep.by_kind(runs, task).items():
+    for name, seeds in sweep.by_kind([run for run in runs if run.episodes], task).items():
         for command in commands:
-            random, nominal = (
-                [at_command(record.evaluation(run, nominal=start), command) for run in seeds]
-                for start in (False, True)
-            )
-            each = min(len(e["fell"]) for e in random)
-            random = [{column: x[:each] for column, x in e.items()} for e in random]
+            each = [
+                record.where(np.isclose([e[x] for x in ASKED], command[:, None]).all(0), e)
+                for e in map(record.evaluation, seeds)
+            ]
+            n = min(len(e["fell"]) for e in each)  # so that every seed counts as much
+            each = [{column: x[:n] for column, x in e.items()} for e in each]
             row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2])
-            row |= dict(seeds=len(seeds), episodes=each)
-            row |= dict(fell=np.mean([e["fell"] for e in random]))
-            row |= dict(fell_nominal=np.mean([e["fell"].mean() for e in nominal]))
+            row |= dict(seeds=len(seeds), episodes=n, fell=np.mean([e["fell"] for e in each]))
             for column in columns:
                 names = ("power", "v_x") if column == "energy" else (column,)
                 of = evaluate.energy_per_metre if column == "energy" else statistic
-                row |= statistics.summarise(column, [[e[x] for x in names] for e in random], of)
+                row |= statistics.summarise(column, [[e[x] for x in names] for e in each], of)
             rows.append(row)
     return rows
 
 
-def at_command(e, command):
-    """The columns of the episodes that were asked for one command (3,)."""
-    asked = np.column_stack([e["asked_v_x"], e["asked_v_y"], e["asked_yaw"]])
-    mine = np.isclose(asked, command).all(1)
-    return {column: x[mine] for column, x in e.items()}
+def grouped(rows, column):
+    """Rows by what they have in a column: {"EIPO": [row, ...], ...}."""
+    groups = {}
+    for row in rows:
+        groups.setdefault(row[column], []).append(row)
+    return groups
 
 
-def draw_lines(axes, rows, x, column):
-    """Draw each kind of run: its mean, its interval over episodes and, lighter, over seeds."""
-    names = list(dict.fromkeys(row["run"] for row in rows))
-    for i, name in enumerate(names):
-        mine = [row for row in rows if row["run"] == name]
-        at, y = (np.array([row[c] for row in mine], float) for c in (x, column))
-        style = dict(linewidth=1.2, marker="sv^D<>px*"[i % 9])
-        if name == "EIPO":
-            style = dict(linewidth=2.5, marker="o")
-        style |= dict(markersize=4, color=sweep.color(name))
-        axes.plot(at, y, label=f"{name}, n = {mine[0]['seeds']}", **style)
-        for over, alpha in (("", 0.2), ("_seeds", 0.1)):
-            ends = [[row[f"{column}{over}_{end}"] for row in mine] for end in ("low", "high")]
-            style = dict(color=sweep.color(name), alpha=alpha, linewidth=0)
-            axes.fill_between(at, *np.array(ends, float), **style)
+def panels_by(column, rows, num_panels=1):
+    """A Figure with panels one above the other for each group of rows.
+
+    Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
+    """
+    if not (groups := grouped(rows, column)):
+        raise ValueError("none of the runs has what is to be drawn")
+    figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
+    panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
+    for name, (top, *_) in zip(groups, panels, strict=True):
+        top.set_title(name.replace(" at ", "\nat "), fontsize=10)
+    return figure, list(zip(groups, groups.values(), panels, strict=True))
+
+
+def dots(axes, rows, x, y):
+    """A small dot for each row, and a large one for the mean of each kind of run."""
+    for kind, mine in grouped(rows, "kind").items():
+        at = np.array([(row[x], row[y]) for row in mine])
+        style = sweep.style(kind)
+        axes.scatter(*at.T, 12, alpha=0.6, linewidths=0, **style)
+        style |= dict(edgecolors="white", linewidths=0.5, label=f"{kind}, n = {len(mine)}")
+        axes.scatter(*at.mean(0), 50, **style)
     axes.grid(alpha=0.3)
 
 
-def draw_panels(rows, panels):
-    """A Figure with a panel over the command v_x for each (task, column, label of the y axis)."""
-    figure = Figure(figsize=(5.5 * len(panels), 3.6), layout="constrained")
-    for axes, (task, column, label) in zip(
-        figure.subplots(1, len(panels), squeeze=False).flat, panels, strict=True
-    ):
-        if column == "energy":  # a robot that is asked to stand spends much per metre
-            axes.set_yscale("log")
-            axes.set_yticks(ticks := (100, 200, 400, 800, 1600, 3200), ticks)
-            axes.minorticks_off()
-        draw_lines(axes, [row for row in rows if row["task"] == task], "v_x_asked", column)
-        axes.set(xlabel="command v_x [m/s]", ylabel=label, title=f"{task} ground", xlim=(0, 1))
-        axes.set_ylim(bottom=BOTTOM.get(task) if column == "performance" else None)
-        axes.legend(loc="upper left", bbox_to_anchor=(1, 1), fontsize=8)
-    return figure
+def legend(column):
+    """Name the kinds of runs of the first panel below the last one."""
+    style = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
+    column[-1].legend(*column[0].get_legend_handles_labels(), **style)
 
 
-def fig2(runs, task="flat"):
+def log_axis(axes, which):
+    """Make "x" or "y" logarithmic, with ticks at 1, 2, 5, 10, ..."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = {"x": axes.xaxis, "y": axes.yaxis}[which]
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+
+
+# ---- over commands ----
+
+
+def draw_lines(axes, rows, column):
+    """Draw each kind of run over the command v_x: its mean, its interval over episodes and,
+    lighter, over seeds.
+    """
+    for name, mine in grouped(rows, "run").items():
+        ends = "", "_low", "_high", "_seeds_low", "_seeds_high"
+        at, mean, *bands = (
+            [row[x] for row in mine] for x in ("v_x_asked", *(column + x for x in ends))
+        )
+        style = sweep.style(name)
+        axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **style)
+        axes.fill_between(at, *bands[:2], color=style["color"], alpha=0.2, linewidth=0)
+        axes.fill_between(at, *bands[2:], color=style["color"], alpha=0.1, linewidth=0)
+    axes.grid(alpha=0.3)
+
+
+def over_commands(runs, tasks, columns):
+    """Rows and a Figure of some columns by command, a panel for each task and column."""
+    rows = []
+    for task in tasks:
+        rows += by_command(runs, task, evaluate.COMMANDS, columns)
+    figure, panels = panels_by("task", rows, len(columns))
+    for task, mine, all_axes in panels:
+        for axes, column in zip(all_axes, columns, strict=True):
+            draw_lines(axes, mine, column)
+            axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column], xlim=(0, 1))
+        all_axes[0].set_ylim(bottom=BOTTOM[task])
+        if "energy" in columns:  # a robot that is asked to stand spends much per metre
+            log_axis(all_axes[1], "y")
+        legend(all_axes)
+    return rows, figure
+
+
+def fig2(runs):
     """Task performance and J/m by command, flat ground. Section V-A."""
-    rows = by_command(runs, task, evaluate.COMMANDS, ("performance", "energy"))
-    panels = [(task, "performance", "task performance"), (task, "energy", "energy [J/m]")]
-    return rows, draw_panels(rows, panels)
+    return over_commands(runs, ["flat"], ("performance", "energy"))
 
 
 def fig3(runs):
     """The same on rough ground of 15 cm. Section V-B."""
-    return fig2(runs, "rough")
+    return over_commands(runs, ["rough"], ("performance", "energy"))
 
 
 def fig4(runs):
     """Task performance of every lambda on flat and rough ground. Section V-C."""
-    tasks = [x for x in ("flat", "rough") if any(run.settings["task"] == x for run in runs)]
-    rows = [
-        row for task in tasks for row in by_command(runs, task, evaluate.COMMANDS, ("performance",))
-    ]
-    panels = [(task, "performance", "task performance") for task in tasks]
-    return rows, draw_panels(rows, panels)
+    return over_commands(runs, ["flat", "rough"], ("performance",))
 
 
 def fig5(runs):
     """Task performance and power over commands of v_x and yaw rate. Section V-E."""
     rows = by_command(runs, "curriculum", record.GRID, ("performance", "power"))
-    names = list(dict.fromkeys(row["run"] for row in rows))
-    figure = Figure(figsize=(3.2 * len(names) + 1, 5.6), layout="constrained")
-    panels = figure.subplots(2, len(names), squeeze=False, sharex=True, sharey=True)
+    figure, panels = panels_by("run", rows, 2)
     v_x, yaw = record.GRID[::11, 0], record.GRID[:11, 2]
-    for line, column, unit in zip(panels, ("performance", "power"), ("-", "W"), strict=True):
+    for i, column in enumerate(("performance", "power")):
         values = np.array([row[column] for row in rows]).reshape(-1, 11, 11)
+        line = [all_axes[i] for _, _, all_axes in panels]
         for axes, value in zip(line, values, strict=True):
             image = axes.pcolormesh(yaw, v_x, value, vmin=values.min(), vmax=values.max())
-        figure.colorbar(image, ax=line, label=f"{column} [{unit}]")
-    for axes, name in zip(panels[0], names, strict=True):
-        axes.set_title(name.replace(" at ", "\nat "), fontsize=10)
+        figure.colorbar(image, ax=line, label=LABELS[column])
     figure.supxlabel("command yaw rate [rad/s]")
     figure.supylabel("command v_x [m/s]")
     return rows, figure
 
 
-REGIONS = {  # of Figure 5, by commands of v_x [m/s] and the size of the yaw rate [rad/s]
-    "straight ahead, 0 to 1.5 m/s": lambda x, yaw: (x >= 0) & (x <= 1.5) & (yaw == 0),
-    "straight ahead, 2 to 4 m/s": lambda x, yaw: (x >= 2) & (yaw == 0),
-    "backwards, 0.5 and 1 m/s": lambda x, yaw: (x < 0) & (yaw == 0),
-    "0 to 1 m/s ahead, turning at 1 or 2 rad/s": lambda x, yaw: (
-        (x >= 0) & (x <= 1) & (yaw >= 1) & (yaw <= 2)
-    ),
-    "0 to 1 m/s ahead, turning at 3 to 5 rad/s": lambda x, yaw: (x >= 0) & (x <= 1) & (yaw >= 3),
-    "all": lambda x, yaw: x == x,
+# of Figure 5, from and to: commands of v_x [m/s], and the size of the yaw rate [rad/s]
+REGIONS = {
+    "straight ahead, 0 to 1.5 m/s": (0, 1.5, 0, 0),
+    "straight ahead, 2 to 4 m/s": (2, 4, 0, 0),
+    "backwards, 0.5 and 1 m/s": (-1, -0.5, 0, 0),
+    "0 to 1 m/s ahead, turning at 1 or 2 rad/s": (0, 1, 1, 2),
+    "0 to 1 m/s ahead, turning at 3 to 5 rad/s": (0, 1, 3, 5),
+    "all": (-1, 4, 0, 5),
 }
 
 
 def regions(rows):
     """Yields Figure 5 by region, as lines of Markdown: task performance, power, early ends."""
     names = "v_x_asked", "yaw_asked", "performance", "power", "fell"
-    kinds = list(dict.fromkeys(row["run"] for row in rows))
-    table = [[[float(row[x]) for x in names] for row in rows if row["run"] == k] for k in kinds]
+    kinds = grouped(rows, "run")
+    table = [[[float(row[x]) for x in names] for row in mine] for mine in kinds.values()]
+    (v_x, *_), (yaw, *_), *numbers = np.moveaxis(table, -1, 0)  # (kinds, commands) each
     yield f"| commands | how many | {' | '.join(kinds)} |\n{'|---' * (len(kinds) + 2)}|"
-    for region, contains in REGIONS.items():
-        x, yaw, *numbers = np.moveaxis(table, -1, 0)  # each (kinds, commands)
-        mine = contains(x[0], abs(yaw[0]))
+    for region, (slowest, fastest, least, most) in REGIONS.items():
+        mine = (slowest <= v_x) & (v_x <= fastest) & (least <= abs(yaw)) & (abs(yaw) <= most)
         means = np.transpose([number[:, mine].mean(1) for number in numbers])
         cells = (f"{j:.2f}, {w:.0f} W, {100 * fell:.0f} %" for j, w, fell in means)
         yield f"| {region} | {mine.sum()} | {' | '.join(cells)} |"
@@ -202,18 +218,16 @@ def fig6(runs):
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
-    kinds = sweep.by_kind([run for run in runs if run.speed], "velocity")
-    for name, seeds in kinds.items():
+    for name, seeds in sweep.by_kind([run for run in runs if run.speed], "velocity").items():
         time = seeds[0].speed["time"]
-        v_x = np.array([run.speed["v_x"] for run in seeds])
-        columns = {run.name: v for run, v in zip(seeds, v_x, strict=True)} | dict(mean=v_x.mean(0))
-        color = sweep.color(name)
-        for seed, speed in columns.items():
-            style = dict(linewidth=2, label=f"{name}, n = {len(seeds)}")
-            style = style if seed == "mean" else dict(linewidth=0.6, alpha=0.5)
-            axes.plot(time, speed, color=color, **style)
+        speeds = {run.name: run.speed["v_x"] for run in seeds}
+        speeds["mean"] = np.mean(list(speeds.values()), 0)
+        color = sweep.style(name)["color"]
+        for seed, v_x in speeds.items():
+            axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
             about = dict(task="velocity", kind=name, run=seed)
-            rows += [about | dict(time=t, v_x=v) for t, v in zip(time, speed, strict=True)]
+            rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
+        axes.plot(time, v_x, color=color, linewidth=2, label=f"{name}, n = {len(seeds)}")
     for name, peak in HARDWARE.items():
         axes.axhline(peak, color="black", linestyle=":", linewidth=1)
         axes.text(time[-1], peak, f"{name}, the paper's robot", ha="right", va="bottom", fontsize=7)
@@ -231,18 +245,17 @@ def table1(runs):
     columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
     rows = by_command(runs, "velocity", np.zeros((1, 3)), columns, statistics.iqm)
     for row in rows:
-        printed = TABLE1.get(row["run"].split(",")[0], [np.nan] * 3)
-        row |= zip(("paper", "paper_low", "paper_high"), printed, strict=True)
+        row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)
     at = np.arange(len(rows))[::-1]
     figure = Figure(figsize=(6, 0.35 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
     over_seeds = [[row[f"peak_seeds_{end}"] for row in rows] for end in ("low", "high")]
     axes.hlines(at, *over_seeds, color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds")
-    ours = dict(label="ours", fmt="o", color="#0072B2")
-    printed = dict(label="the paper's", fmt="D", color="#D55E00", markerfacecolor="none")
-    for name, style in (("peak", ours), ("paper", printed)):
-        mean, low, high = (np.array([r[name + x] for r in rows]) for x in ("", "_low", "_high"))
-        axes.errorbar(mean, at, xerr=np.nan_to_num([mean - low, high - mean]), capsize=3, **style)
+    peak, low, high, paper = (
+        np.array([row[name] for row in rows]) for name in ("peak", "peak_low", "peak_high", "paper")
+    )
+    axes.errorbar(peak, at, xerr=[peak - low, high - peak], fmt="o", capsize=3, label="ours")
+    axes.plot(paper, at, "D", color="#D55E00", markerfacecolor="none", label="the paper's")
     labels = [f"{row['run']}, n = {row['seeds']}" for row in rows]
     axes.set(yticks=at, yticklabels=labels, xlabel="peak velocity [m/s]")
     axes.grid(alpha=0.3)
@@ -253,60 +266,29 @@ def table1(runs):
 # ---- all runs ----
 
 
-def dots(runs):
+def scored(runs):
     """A row for each run whose episodes were kept: what it is, its score, its power, its alpha."""
     rows = []
     for run in runs:
-        s = run.settings
-        if run.episodes and s["task"] in SCORES and s["clip"] == "power":
-            e = record.evaluation(run)
+        if run.episodes:
+            s = run.settings
+            numbers = record.scores(run)
             row = dict(task=s["task"], run=run.name, kind=sweep.kind(s), algo=s["algo"])
-            row |= dict(lam=s["lam"], seed=s["seed"])
-            row |= dict(score=statistics.NUMBERS[SCORES[s["task"]][0]](e))
-            row |= dict(power=statistics.NUMBERS["power"](e))
-            rows.append(row | dict(alpha=run.metrics.get("alpha", [np.nan])[-1]))
-    if not rows:
-        raise ValueError(f"none of the runs is of {', '.join(SCORES)} and has kept episodes")
+            row |= dict(lam=s["lam"], seed=s["seed"], score=numbers[SCORES[s["task"]]])
+            rows.append(row | dict(power=numbers["power"], alpha=run.metrics["alpha"][-1]))
     return rows
-
-
-def scatter(axes, rows, x, y):
-    """A dot for each row, EIPO's a diamond, and the mean of each kind as a larger one."""
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        mine = [row for row in rows if row["kind"] == kind]
-        at = np.array([(row[x], row[y]) for row in mine])
-        style = dict(color=sweep.color(kind), marker="D" if mine[0]["algo"] == "eipo" else "o")
-        axes.scatter(*at.T, 12, alpha=0.6, linewidths=0, **style)
-        axes.scatter(*at.mean(0), 50, edgecolors="white", linewidths=0.5, **style)
-    axes.grid(alpha=0.3)
-
-
-def explain(figure):
-    """The legend: EIPO, and PPO by groups of lambdas."""
-    groups = {}
-    for kind in sweep.KINDS:
-        groups.setdefault(sweep.color(kind), []).append(kind)
-    for color, kinds in groups.items():
-        style = dict(marker="D" if kinds[0] == "EIPO" else "o", color=color)
-        name = " to ".join(dict.fromkeys((kinds[0], kinds[-1])))
-        figure.axes[0].scatter([], [], label=name, **style)
-    figure.legend(loc="outside upper center", fontsize=8, ncols=len(groups))
 
 
 def tradeoff(runs):
     """Score over power, a small dot for each seed and a large one for the mean of a kind."""
-    rows = dots(runs)
-    tasks = list(dict.fromkeys(row["task"] for row in rows))
-    figure = Figure(figsize=(4.2 * len(tasks), 4.5), layout="constrained")
-    for axes, task in zip(figure.subplots(1, len(tasks), squeeze=False)[0], tasks, strict=True):
-        scatter(axes, [row for row in rows if row["task"] == task], "power", "score")
-        axes.set(xlabel="power [W]", ylabel=SCORES[task][1], title=task, xscale="log")
-        axes.set_xticks(ticks := (50, 100, 200, 400, 800), ticks)
-        axes.minorticks_off()
-        for name in ("EIPO", "PPO(0)") if task == "velocity" else ():
-            axes.axhline(TABLE1[name][0], color="black", linestyle=":", linewidth=0.8)
-            axes.text(50, TABLE1[name][0], f"{name}, the paper's", fontsize=7, va="bottom")
-    explain(figure)
+    rows = scored(runs)
+    figure, panels = panels_by("task", rows)
+    for task, mine, column in panels:
+        (axes,) = column
+        dots(axes, mine, "power", "score")
+        axes.set(xlabel=LABELS["power"], ylabel=LABELS[SCORES[task]])
+        log_axis(axes, "x")
+        legend(column)
     return rows, figure
 
 
@@ -315,20 +297,17 @@ def lambdas(runs):
 
     lambda = 0 is at the left end.
     """
-    rows = [row | dict(at=max(row["lam"], 5e-5), end=1 / row["alpha"]) for row in dots(runs)]
-    tasks = list(dict.fromkeys(row["task"] for row in rows))
-    figure = Figure(figsize=(4.2 * len(tasks), 8), layout="constrained")
-    panels = figure.subplots(3, len(tasks), squeeze=False, sharex=True)
-    for column, task in zip(panels.T, tasks, strict=True):
-        mine = [row for row in rows if row["task"] == task]
-        scatter(column[0], mine, "at", "score")
-        scatter(column[1], mine, "at", "power")
-        scatter(column[2], [row for row in mine if row["algo"] == "eipo"], "at", "end")
-        column[0].set(title=task, ylabel=SCORES[task][1], xscale="log")
-        column[1].set(ylabel="power [W]", yscale="log")
-        column[1].set_yticks(ticks := (50, 100, 200, 400, 800), ticks)
-        column[1].minorticks_off()
-        column[2].set(yscale="log", ylabel="EIPO's last 1 / alpha [1/W]", xlabel="lambda [1/W]")
-        column[2].axline((1e-4, 1e-4), (1e-2, 1e-2), color="black", linestyle=":", linewidth=0.8)
-    explain(figure)
+    rows = [row | dict(at=max(row["lam"], 5e-5), end=1 / row["alpha"]) for row in scored(runs)]
+    figure, panels = panels_by("task", rows, 3)
+    for task, mine, column in panels:
+        score, power, end = column
+        dots(score, mine, "at", "score")
+        dots(power, mine, "at", "power")
+        dots(end, grouped(mine, "algo").get("eipo", []), "at", "end")
+        score.set(ylabel=LABELS[SCORES[task]], xscale="log")
+        power.set(ylabel=LABELS["power"])
+        log_axis(power, "y")
+        end.set(yscale="log", ylabel="EIPO's last 1 / alpha [1/W]", xlabel="lambda [1/W]")
+        end.axline((1e-4, 1e-4), (1e-2, 1e-2), color="black", linestyle=":", linewidth=0.8)
+        legend(column)
     return rows, figure

@@ -10,48 +10,32 @@ SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
 COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
 
 
-class Watched:
-    """A mujoco.batch.Batch that calls look() after each of its physics steps."""
-
-    def __init__(self, batch, look):
-        self.batch = batch
-        self.look = look
-
-    def __getattr__(self, name):
-        return getattr(self.batch, name)
-
-    def step(self):
-        """Step all robots, and look at them."""
-        self.batch.step()
-        self.look()
-
-
 def watch(policy, env, commands):
-    """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool in T physics steps, and speeds (N,) [m/s].
+    """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool after T control steps, and mean speeds
+    (N,) [m/s]. Recording begins when SETTLE has passed.
 
-    Arguments are those of `evaluate.play_episode`. Recording begins when SETTLE has passed.
+    Arguments are those of `evaluate.play_episode`.
     """
     contacts = []
     speeds = []
-    env.batch = Watched(env.batch, lambda: contacts.append(env.contacts[:, -4:] > 0))
     first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
     for i, (_, log, _, _) in enumerate(evaluate.play_episode(policy, env, commands)):
-        speeds.append(log["v_x"])
+        if i >= first:
+            contacts.append(env.contacts[:, -4:] > 0)
+            speeds.append(log["v_x"])
         if i + 1 == last:
-            break
-    physics_steps = env.env_cfg.physics_steps
-    return np.array(contacts[first * physics_steps :]), np.mean(speeds[first:], 0)
+            return np.array(contacts), np.mean(speeds, 0)
 
 
-def draw(axes, contact, timestep, title):
-    """Draw the contacts (T, 4) of a robot as a bar for each foot; timestep: [s] of a row."""
+def draw(axes, contact, period, title):
+    """Draw the contacts (T, 4) of a robot as a bar for each foot; period: [s] of a row."""
     for j, on_ground in enumerate(contact.T):
         changes = np.flatnonzero(np.diff(np.concatenate([[0], on_ground, [0]])))
-        first, end = timestep * changes.reshape(-1, 2).T
+        first, end = period * changes.reshape(-1, 2).T
         bars = np.column_stack([first, end - first])
         axes.broken_barh(bars, (-j - 0.4, 0.8), color=COLORS[j])
     axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, title=title)
-    axes.set_xlim(0, timestep * len(contact))
+    axes.set_xlim(0, period * len(contact))
 
 
 def footfalls(folder, speeds):
@@ -67,6 +51,6 @@ def footfalls(folder, speeds):
     panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]
     for i, axes in enumerate(panels):
         asked = f"asked for {speeds[i]:g} m/s, " if asks else ""
-        draw(axes, contacts[:, i], env.env_cfg.timestep, f"{asked}moves at {reached[i]:.2f} m/s")
+        draw(axes, contacts[:, i], env.period, f"{asked}moves at {reached[i]:.2f} m/s")
     panels[-1].set_xlabel("time [s]")
     return figure

@@ -15,6 +15,7 @@ import gzip
 import io
 import json
 from fnmatch import fnmatchcase
+from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -22,13 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
-from lab import statistics
+from lab.statistics import NUMBERS, finite_mean
 from runtime import run_folder
 
 RESULTS = Path(__file__).parents[1] / "results"
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
-SCORES = "performance", "fell", "performance_nominal", "fell_nominal", "v_x", "peak", "power"
-POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
 # to be played of each policy from each kind of start, by results/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
 # of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
@@ -42,36 +41,40 @@ class Run(NamedTuple):
     settings: dict  # every setting by name, as in config.json
     row: dict  # its row of runs.csv, as text
     metrics: dict  # {column: (rows,)}
-    episodes: dict  # {column: (episodes,)}, numbers but for `policy`
+    episodes: dict  # {column: (episodes,)}, of pi
+    prime: dict  # the same of pi_prime
     speed: dict  # {column: (times,)}
 
 
-# ---- tables: lists of dicts of text ----
+# ---- tables: lists of dicts ----
 
 
 def read(path):
     """The rows of a CSV file, compressed or not, as dicts of text; none if there is no file."""
     if not path.exists():
         return []
-    try:
+    with run_folder.reading(path):
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        rows = list(csv.DictReader(io.StringIO(data.decode())))
-        if any(None in {*row, *row.values()} for row in rows):
-            raise ValueError("a row has another length than the head")
-        return rows
-    except (OSError, EOFError, ValueError, csv.Error) as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
+        return list(csv.DictReader(io.StringIO(data.decode())))
 
 
 def write(path, rows):
-    """Write rows as a CSV file, compressed if its name says so, with the columns of all of them."""
-    rows = [{k: f"{x:.5g}" if isinstance(x, float) else x for k, x in r.items()} for r in rows]
-    text = io.StringIO(newline="")
+    """Write rows as a CSV file, compressed if its name says so, with the columns of all of them.
+
+    Numbers have five digits, and whole ones all of theirs.
+    """
+
+    def text(x):
+        if not isinstance(x, float):
+            return x
+        return f"{x:.0f}" if x.is_integer() else f"{x:.5g}"
+
+    out = io.StringIO(newline="")
     columns = dict.fromkeys(name for row in rows for name in row)
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer = csv.DictWriter(out, columns, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
-    data = text.getvalue().encode()
+    writer.writerows({name: text(x) for name, x in row.items()} for row in rows)
+    data = out.getvalue().encode()
     data = gzip.compress(data, mtime=0) if path.suffix == ".gz" else data
     run_folder.replace_file(path, lambda file: file.write(data))
 
@@ -85,38 +88,43 @@ def by_run(path):
 
 
 def columns(rows):
-    """The rows of a run as {column: array}: numbers, but for the name of the policy."""
-    if not rows:
-        return {}
-    names = [name for name, x in rows[0].items() if x and name not in ("run", "policy")]
-    table = {name: np.array([row[name] for row in rows], float) for name in names}
-    return table | dict(policy=np.array([row.get("policy") or "pi" for row in rows]))
+    """The rows of a run as numbers, {column: (rows,)}."""
+    names = [name for name, x in rows[0].items() if x != ""] if rows else []
+    names = [name for name in names if name not in ("run", "policy")]
+    return {name: np.array([row[name] for row in rows], float) for name in names}
 
 
 # ---- out of the tables ----
 
 
 def runs(patterns):
-    """The Runs of patterns, each once.
+    """The Runs of patterns.
 
     A pattern is results/TASK, for all runs whose names begin with the task's name, as train.py
     names them, or results/TASK/NAME, in which NAME may have * ? and [...].
     """
-    found = {}
+    found = []
     tables = {}
     for path in map(Path, patterns):
         place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
         if place not in tables:
             tables[place] = [by_run(place / file) for file in (RUNS, METRICS, EPISODES, SPEED)]
-        listed, *others = tables[place]
+        listed, metrics, episodes, speed = tables[place]
         names = [run for run in listed if fnmatchcase(run, name)]
         if not names:
             raise ValueError(f"{place / RUNS} has no run {name}")
         for run in names:
             (row,) = listed[run]
-            parts = (columns(table.get(run)) for table in others)
-            found[place, run] = Run(run, settings_of(row), row, *parts)
-    return list(found.values())
+            played = by_policy(episodes.get(run, []))
+            parts = metrics.get(run, []), *played, speed.get(run, [])
+            found.append(Run(run, settings_of(row), row, *map(columns, parts)))
+    return found
+
+
+def by_policy(rows):
+    """The rows of episodes of pi, and those of pi_prime."""
+    prime = [row for row in rows if row.get("policy") == "prime"]
+    return [row for row in rows if row.get("policy") != "prime"], prime
 
 
 def settings_of(row):
@@ -125,18 +133,27 @@ def settings_of(row):
     return {name.split(".")[1]: json.loads(x) for name, x in settings.items() if x}
 
 
-def evaluation(run, policy="pi", nominal=False):
-    """The columns of a run's episodes that are of the paper's evaluation.
+def evaluation(run, nominal=False):
+    """The columns of pi's episodes that are of the paper's evaluation.
 
-    policy: "pi" or "prime"; nominal: those from the nominal pose, not those from random poses
+    nominal: those from the nominal pose, not those from random poses
     """
-    if not (e := run.episodes):
-        raise ValueError(f"the tables have no episodes of {run.name}")
+    e = run.episodes
     roughness = evaluate.ROUGHNESS.get(run.settings["task"], run.settings["roughness"][1])
-    mine = (e["policy"] == policy) & ((e["start_spread"] == 0) == nominal)
-    mine &= np.isclose(e["roughness"], roughness)
-    mine &= e["torque_clip"] == (run.settings["clip"] == "torque")
+    return where(((e["start_spread"] == 0) == nominal) & np.isclose(e["roughness"], roughness), e)
+
+
+def where(mine, e):
+    """The columns e of those episodes for which `mine` is true."""
     return {name: x[mine] for name, x in e.items()}
+
+
+def scores(run):
+    """NUMBERS of a run from random starts, and two of them from the nominal pose."""
+    random, nominal = (evaluation(run, start) for start in (False, True))
+    row = {name: float(number(random)) for name, number in NUMBERS.items()}
+    names = "performance", "fell"
+    return row | {f"{name}_nominal": float(NUMBERS[name](nominal)) for name in names}
 
 
 # ---- into the tables ----
@@ -153,7 +170,8 @@ def add(folders, results=RESULTS, num_episodes=None):
         task = settings_of(row)["task"]
         n = num_episodes or NUM_EPISODES[task]
         played = list(play(folder, task, n))
-        row |= scores(Run(folder.name, settings_of(row), row, {}, columns(played), {}))
+        run = Run(folder.name, settings_of(row), row, {}, *map(columns, by_policy(played)), {})
+        row = dict(run=folder.name) | scores(run) | row
         parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
         if task == "velocity":
             parts[SPEED] = speed_rows(folder, n)
@@ -166,35 +184,26 @@ def add(folders, results=RESULTS, num_episodes=None):
 
 def run_row(folder):
     """The row of runs.csv of a run folder, without scores. What is JSON there is JSON here."""
-    path = folder / "config.json"
-    try:
-        config = json.loads(path.read_text())
+    with run_folder.reading(folder / "config.json"):
+        config = json.loads((folder / "config.json").read_text())
         first, *resumed = config["starts"]
-        last = config["starts"][-1]
         cfg = config["learner"]
         done = int(read(folder / "metrics.csv")[-1]["iteration"])
-        row = dict(run=folder.name, seed=cfg["seed"], iterations=done)
+        row = dict(seed=cfg["seed"], iterations=done)
         row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
-        row |= dict.fromkeys(("episodes", *SCORES), "")  # `add` fills them in
-        row |= {name: first[name] for name in ("command", "commit", "machine")}
-        row |= {name: last.get(name, "") for name in ("cpu", "cores")}
-        row |= dict(versions=json.dumps(first["versions"]))
+        row |= first | dict(versions=json.dumps(first["versions"]))
         row |= dict(resumed=json.dumps(resumed) if resumed else "")
         for part in ("env", "learner"):
             row |= {f"{part}.{name}": json.dumps(x) for name, x in config[part].items()}
         return row
-    except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise ValueError(f"{folder} is not the folder of a run: {error!r}") from None
 
 
 def thinned(folder):
-    """Every tenth row and the last one of a run's metrics, with five digits."""
+    """Yields every tenth row and the last one of a run's metrics."""
     rows = read(folder / "metrics.csv")
     for row in rows:
         if int(row["iteration"]) % 10 == 0 or row is rows[-1]:
-            cells = {name: f"{float(x):.5g}" for name, x in row.items()}
-            whole = {name: f"{float(x):.0f}" for name, x in row.items() if float(x).is_integer()}
-            yield dict(run=folder.name) | cells | whole
+            yield dict(run=folder.name) | {name: float(x) for name, x in row.items()}
 
 
 def play(folder, task, num_episodes):
@@ -204,30 +213,15 @@ def play(folder, task, num_episodes):
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
     asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
-    for policy, file in POLICIES.items():
-        for nominal in (False, True) if (folder / file).exists() else ():
-            prime = policy == "prime"
-            act, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
-            played = evaluate.run_episodes(act, env, asked)
-            world = env.env_cfg
-            table = dict(start_spread=world.start_spread, least_roughness=world.roughness[0])
-            table |= dict(roughness=world.roughness[1], torque_clip=world.clip == "torque")
-            table |= zip(("asked_v_x", "asked_v_y", "asked_yaw"), asked.T, strict=True)
-            table |= played._asdict()
-            table = {name: np.broadcast_to(x, len(asked)) for name, x in table.items()}
-            for numbers in zip(*table.values(), strict=True):
-                cells = (f"{x:.5g}" for x in numbers)
-                about = dict(run=folder.name, policy=policy)
-                yield about | dict(zip(table, cells, strict=True))
-
-
-def scores(run):
-    """The SCORES of a run for runs.csv: of pi, from random starts unless the name says nominal."""
-    row = {}
-    for nominal, ending in ((False, ""), (True, "_nominal")):
-        e = evaluation(run, nominal=nominal)
-        row |= {f"{name}{ending}": f"{of(e):.4g}" for name, of in statistics.NUMBERS.items()}
-    return dict(episodes=len(e["fell"])) | {name: row[name] for name in SCORES}
+    has_prime = (folder / evaluate.policy_name(prime=True)).exists()
+    for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
+        policy, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
+        table = dict(zip(("asked_v_x", "asked_v_y", "asked_yaw"), asked.T, strict=True))
+        table |= evaluate.run_episodes(policy, env, asked)._asdict()
+        row = dict(run=folder.name, policy="prime" if prime else "pi")
+        row |= dict(start_spread=env.env_cfg.start_spread, roughness=env.env_cfg.roughness[1])
+        for numbers in zip(*table.values(), strict=True):
+            yield row | dict(zip(table, map(float, numbers), strict=True))
 
 
 def speed_rows(folder, num_episodes):
@@ -239,5 +233,4 @@ def speed_rows(folder, num_episodes):
     strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
     for steps in np.array_split(np.arange(len(log)), strides):
         time = env.period * (steps.mean() + 0.5)
-        v_x = statistics.finite_mean(np.array(log)[steps])
-        yield dict(run=folder.name, time=f"{time:.5g}", v_x=f"{v_x:.5g}")
+        yield dict(run=folder.name, time=time, v_x=finite_mean(np.array(log)[steps]))

@@ -59,7 +59,7 @@ def energy(e):
     return energy_per_metre(e["power"][moving], e["v_x"][moving])
 
 
-# the number of a run by which runs are compared, of columns of its episodes
+# the number of a run by which runs are compared, from columns of its episodes
 NUMBERS = {
     "performance": lambda e: e["performance"].mean(),  # [-] Section V-A
     "fell": lambda e: e["fell"].mean(),  # share of episodes that ended early
@@ -71,7 +71,7 @@ NUMBERS = {
 
 
 class Comparison(NamedTuple):
-    """Two arms by one number of each common seed. If it is a ratio, all but `means` are of logs."""
+    """Two arms by one number of each seed. If it is a ratio, all but `means` are of logs."""
 
     seeds: int
     means: tuple  # of the left and of the right arm, geometric ones if it is a ratio
@@ -82,15 +82,11 @@ class Comparison(NamedTuple):
     visible: float  # the smallest difference that as many seeds show with 80 % power
 
 
-def compare(left, right, ratio=False):
-    """The Comparison of two arms {seed: number} by their common seeds; None if under three."""
-    seeds = left.keys() & right.keys()
-    if len(seeds) < 3:
-        return None
-    x, y = np.array([(left[seed], right[seed]) for seed in sorted(seeds)]).T
+def compare(x, y, ratio=False):
+    """The Comparison of two arms by numbers (n,) each, of the same seeds in the same order."""
     x, y = (np.log(x), np.log(y)) if ratio else (x, y)
     n, difference = len(x), np.mean(x - y)
-    error = np.std(x - y, ddof=1) / np.sqrt(n)
+    error = stats.sem(x - y)
     wide, narrow = (
         (difference - t * error, difference + t * error) for t in stats.t.ppf((0.975, 0.95), n - 1)
     )

@@ -3,7 +3,7 @@
 A run's kind is EIPO or PPO(lambda), and whatever else of it is not usual for its task.
 """
 
-import shlex
+import re
 
 from matplotlib import colormaps
 
@@ -12,40 +12,38 @@ import tasks
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
-EIPO = ("--algo", "eipo")
-PPO = {lam: ("--algo", "ppo", "--lam", f"{lam:g}") for lam in LAMBDAS}
+EIPO = "--algo eipo"
+PPO = {lam: f"--algo ppo --lam {lam:g}" for lam in LAMBDAS}
 # the runs behind each figure and Table I: (task, flags of train.py). Table I has EIPO twice: with
 # as many robots in all as PPO, and with as many per policy
+BASELINES = EIPO, PPO[0.005], PPO[0]
+SMOOTH, SHAPED = f"{EIPO} --aux smooth", f"{PPO[0]} --reward shaped"
 SWEEPS = dict(
-    fig2=[("flat", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
-    fig3=[("rough", flags) for flags in (EIPO, PPO[0.005], PPO[0])],
+    fig2=[("flat", flags) for flags in BASELINES],
+    fig3=[("rough", flags) for flags in BASELINES],
     fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
-    fig5=[
-        ("curriculum", flags)
-        for flags in (EIPO, (*EIPO, "--aux", "smooth"), PPO[0.005], (*PPO[0], "--reward", "shaped"))
-    ],
+    fig5=[("curriculum", flags) for flags in (EIPO, SMOOTH, PPO[0.005], SHAPED)],
     fig6=[("velocity", flags) for flags in (EIPO, PPO[0], PPO[0.0001], PPO[0.01])],
-    table1=[("velocity", flags) for flags in (EIPO, (*EIPO, "--num-envs", "256"), *PPO.values())],
+    table1=[("velocity", flags) for flags in (EIPO, f"{EIPO} --num-envs 256", *PPO.values())],
 )
 
 
-def commands(what, seeds, flags):
-    """Yields the train.py commands of the runs behind a figure; flags: added to each."""
-    if what not in SWEEPS:
+def commands(figure, seeds):
+    """Yields the train.py commands of the runs behind a figure."""
+    if figure not in SWEEPS:
         raise ValueError(f"sweep takes one of {', '.join(SWEEPS)}")
-    for task, setting in SWEEPS[what]:
+    for task, flags in SWEEPS[figure]:
         for seed in seeds:
-            argv = ["--task", task, *setting, "--seed", str(seed), *flags]
-            yield shlex.join(["python", "train.py", *argv])
+            yield f"python train.py --task {task} {flags} --seed {seed}"
 
 
 def kind(settings):
     """What the figures call a run with these settings, {name: setting}."""
     s = settings
     usual = eipo.Config(**tasks.TASKS[s["task"]].learner)
-    name = "EIPO" if s["algo"] == "eipo" else f"PPO({s['lam']:g})"
+    name = f"PPO({s['lam']:g})"
     if s["algo"] == "eipo":
-        name += f" from {s['lam']:g}" * (s["lam"] != usual.lam)
+        name = "EIPO" + f" from {s['lam']:g}" * (s["lam"] != usual.lam)
         name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != usual.lr_alpha)
     name += " smooth" * (s["aux"] == "smooth") + " shaped" * (s["reward"] == "shaped")
     return name + f", {s['num_envs']} robots" * (s["num_envs"] != usual.num_envs)
@@ -65,24 +63,26 @@ def by_kind(runs, task):
         raise ValueError(f"none of the runs is of the task {task}")
     for name, (first, *others) in kinds.items():
         for other in others:
-            names = first.settings.keys() & other.settings.keys()
-            names = {x for x in names if first.settings[x] != other.settings[x]}
-            if first.settings["algo"] == "ppo":  # which reads no step of alpha
+            a, b = first.settings, other.settings
+            names = {x for x in a.keys() & b.keys() if a[x] != b[x]}
+            if a["algo"] == "ppo":  # which reads no step of alpha
                 names = {x for x in names if not x.endswith("_alpha")}
             if names != {"seed"}:
-                what = f"differ in {', '.join(sorted(names))}" if names else "have the same seed"
-                raise ValueError(f"{first.name} and {other.name} are both {name} but {what}")
-    place = {name: i for i, name in enumerate(KINDS)}
-    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 99), x[0])))
+                what = ", ".join(sorted(names)) or "nothing, not even in the seed"
+                raise ValueError(f"{first.name} and {other.name} are {name} but differ in {what}")
+    place = dict(zip(KINDS, range(10), strict=True))
+    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 10), x[0])))
 
 
-def color(name):
-    """The color of a kind of run in every figure: EIPO is blue, PPO yellow to brown by lambda.
+def style(name):
+    """Color and marker of a kind of run in every figure.
 
-    There are five for PPO, which one can tell apart: of 0, up to 0.0005, 0.002, 0.005 and more.
+    EIPO is blue, PPO yellow to brown by lambda, in five shades that one can tell apart: of 0, up to
+    0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker.
     """
-    if name.startswith("EIPO"):
-        return "#0072B2"
-    lam = float(name[len("PPO(") : name.index(")")])
-    group = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
-    return colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[group])
+    lam = re.search(r"(?:PPO\(|from )([^ ,)]+)", name)
+    lam = float(lam[1]) if lam else -1  # EIPO from its usual lambda_0
+    shade = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
+    color = colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[shade])
+    color = "#0072B2" if name.startswith("EIPO") else color
+    return dict(color=color, marker="Dos^v<>pPX"[sum(x <= lam for x in LAMBDAS)])

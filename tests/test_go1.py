@@ -3,12 +3,11 @@ for granted.
 """
 
 import itertools
-from math import pi
 
 import mujoco
 import numpy as np
 import pytest
-from support import LEGS, NOMINAL, ON_ITS_BACK, ON_ITS_SIDE, UPRIGHT, soles
+from support import LEGS, NOMINAL, soles
 
 import go1
 
@@ -82,34 +81,18 @@ def test_contact_with_the_floor_has_the_friction_of_the_foot(model):
     assert [contact.friction[0] for contact in feet] == [0.625] * 4
 
 
-@pytest.mark.parametrize(
-    ("height", "quaternion", "fallen"),
-    [
-        (0.44, UPRIGHT, []),
-        (0.41, UPRIGHT, of_legs("calf")),
-        (0.21, UPRIGHT, of_legs("thigh", "calf")),
-        (0.056, ON_ITS_BACK, ["trunk"]),
-        (0.145, ON_ITS_SIDE, ["FR_hip", "RR_hip"]),
-    ],
-    ids=["standing", "shins", "kneeling", "back", "side"],
-)
-def test_contact_sensors(model, height, quaternion, fallen):
-    """D13. Legs straight: soles 0.446 m down, shins 0.413, thighs 0.217, trunk 0.057, and hips
-    0.147 m aside.
-
-    Nine sensors end every episode, then come the calves, which some tasks let touch the ground, and
-    the feet.
+def test_contact_sensors(model):
+    """Each is of the ground and the part that it is named after. The first nine end every episode,
+    then come the calves, which some tasks let touch the ground, and the feet.
     """
     parts = [model.sensor(i).name.removesuffix("_contact") for i in range(17)]
+    bodies_or_geoms = zip(model.sensor_objtype, model.sensor_objid, strict=True)
+    assert [mujoco.mj_id2name(model, kind, i) for kind, i in bodies_or_geoms] == parts
+    assert {model.geom(i).name for i in model.sensor_refid} == {"floor"}
     assert parts[go1.ALL_BUT_FEET] == parts[go1.TRUNK_TO_THIGHS] + of_legs("calf")
     assert set(parts[go1.TRUNK_TO_THIGHS]) == {"trunk", *of_legs("hip", "thigh")}
     assert parts[go1.FEET] == of_legs("foot")
     assert {parts[i] for i in go1.THIGHS_AND_CALVES} == set(of_legs("thigh", "calf"))
-    data = mujoco.MjData(model)
-    data.qpos[2], data.qpos[3:7] = height, quaternion
-    mujoco.mj_forward(model, data)
-    touched = {name for name, x in zip(parts, data.sensordata, strict=True) if x}
-    assert touched - set(of_legs("foot")) == set(fallen)
 
 
 def test_home(model):
@@ -119,39 +102,14 @@ def test_home(model):
     assert soles(home).min() == pytest.approx(0.0, abs=1e-3)
 
 
-# ---- kinematics; what a step needs of the trunk is in tests/paper/test_3_rewards.py ----
-
-
-def lowest(q):
-    """Height (..., 4) [m] of the lowest point of each leg relative to the trunk."""
-    return go1.leg_points(q)[..., 2].reshape(*q.shape[:-1], 4, 2).min(-1) - 0.02
-
-
-@pytest.mark.parametrize(
-    ("hip", "thigh", "calf", "right", "left"),
-    [
-        (0, 0, 0, -0.446, -0.446),  # straight: -0.213 - 0.213 - 0.02
-        (0, pi / 2, -pi / 2, -0.233, -0.233),  # thigh horizontal, calf down: -0.213 - 0.02
-        (0, pi / 3, -2 * pi / 3, -0.233, -0.233),  # -0.213 (1/2 + 1/2) - 0.02
-        # legs out to the left: the hip's 0.08 is down on the right, up on the left
-        (pi / 2, 0, 0, -0.1, 0.06),
-        # thigh straight down, shin straight up: the knee is lowest, 0.213 + 0.02
-        (0, 0, -pi, -0.233, -0.233),
-    ],
-)
-def test_leg_heights_by_hand(hip, thigh, calf, right, left):
-    """Links of 0.213 m, 0.08 m from hip to thigh, soles of 0.02 m, in the order FR, FL, RR, RL."""
-    heights = lowest(np.tile([hip, thigh, calf], 4).astype(float))
-    assert heights == pytest.approx([right, left, right, left], abs=1e-12)
-
-
-def test_leg_heights_are_those_of_the_model():
-    """The formula and go1.xml are the same robot, at random joint angles with shins that point
-    down, of any leading shape.
-    """
-    q = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 3, 12))
-    q[..., 1::3], q[..., 2::3] = abs(q[..., 1::3]), -abs(q[..., 2::3])
-    heights = lowest(q)
-    assert heights.shape == (2, 3, 4)
+# what a step needs of the trunk is in tests/paper/test_3_rewards.py
+def test_leg_points_are_those_of_the_model(model):
+    """Knees and feet of FR, FL, RR, RL, at random joint angles, of any leading shape."""
+    data, q = mujoco.MjData(model), np.random.default_rng(0).uniform(-3, 3, (2, 3, 12))
     for i in np.ndindex(2, 3):
-        assert heights[i] == pytest.approx(soles([0, 0, 0, 1, 0, 0, 0, *q[i]]), abs=1e-12)
+        data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *q[i]]
+        mujoco.mj_kinematics(model, data)
+        points = [
+            x.xpos for leg in LEGS for x in (data.body(f"{leg}_calf"), data.geom(f"{leg}_foot"))
+        ]
+        assert go1.leg_points(q)[i] == pytest.approx(np.array(points), abs=1e-12)

@@ -15,18 +15,17 @@ from support import LAMBDAS, ROOT, error_of, make_run
 
 import eipo
 import evaluate
-import go1
 import policy
 import tasks
 from lab import figures, footfalls, record, sweep
-from lab.__main__ import FIGURES, OTHERS, main
+from lab.__main__ import main
 from runtime import flags
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
 
 
-def made(run="r", task="flat", speed=None, **columns):
+def made(run="r", task="flat", speed=None, prime=None, **columns):
     """A Run with the usual settings of a task, but for those that are given. Other columns are of
     its episodes, which are of random starts and 0 where nothing is given.
     """
@@ -34,11 +33,10 @@ def made(run="r", task="flat", speed=None, **columns):
     for name in columns.keys() & settings.keys() - {"start_spread", "roughness"}:
         settings[name] = columns.pop(name)
     n = max((len(x) for x in columns.values()), default=0)
-    world = dict(start_spread=0.5, roughness=settings["roughness"][1], torque_clip=0)
-    world |= dict.fromkeys(("asked_v_x", "asked_v_y", "asked_yaw"), 0)
-    world |= dict.fromkeys(evaluate.Episodes._fields, 0) | dict(policy="pi")
+    world = dict(start_spread=0.5, roughness=settings["roughness"][1])
+    world |= dict.fromkeys((*figures.ASKED, *evaluate.Episodes._fields), 0)
     e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
-    return record.Run(run, settings, {}, {}, e, speed or {})
+    return record.Run(run, settings, {}, dict(alpha=[200, 400]), e, prime or {}, speed or {})
 
 
 def cells(rows, *columns):
@@ -60,36 +58,39 @@ def eight(seed, n=8, **settings):
     return made(f"r{seed}", seed=seed, **columns, **settings)
 
 
-def with_nominal(run):
-    """A run with its episodes twice, and the second time from the nominal pose, where none fall."""
-    again = run.episodes | dict(start_spread=0 * run.episodes["start_spread"])
-    again |= dict(fell=0 * run.episodes["fell"])
-    both = {x: np.concatenate([y, again[x]]) for x, y in run.episodes.items()}
-    return run._replace(episodes=both)
+def fig2(runs):
+    """The rows of Figure 2."""
+    return figures.fig2(runs)[0]
 
 
 def test_a_cell_is_of_its_own_command_and_pools_the_seeds():
     """Two seeds of eight: 100 i + 0 ... 15, mean 7.5; each seed alone 3.5 and 11.5. One robot of
-    eight falls, and none from the nominal pose.
+    eight falls.
     """
-    rows, _ = figures.fig4([with_nominal(eight(1)), with_nominal(eight(0))])
+    rows = fig2([eight(1), eight(0)])
     for column, x in (("", 7.5), ("_seeds_low", 3.5), ("_seeds_high", 11.5)):
         assert [row[f"performance{column}"] for row in rows] == [100 * i + x for i in range(11)]
-    assert cells(rows, "run", "seeds", "episodes") == [("EIPO", 2, 8)]
-    assert cells(rows, "fell", "fell_nominal") == [(0.125, 0)]
+    assert cells(rows, "run", "seeds", "episodes", "fell") == [("EIPO", 2, 8, 0.125)]
 
 
 def test_every_seed_counts_with_as_many_episodes():
     """Of eight and four episodes the first four: 0 ... 3 and 8 ... 11 have the mean 5.5."""
-    rows, _ = figures.fig4([with_nominal(eight(0)), with_nominal(eight(1, n=4))])
+    rows = fig2([eight(0), eight(1, n=4)])
     assert rows[0]["performance"] == 5.5 and cells(rows, "episodes") == [(4,)]
 
 
 def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
     """D27. At i = 0 power is 15 x 3.5 in the mean and speed 3.75, so 14 J/m."""
-    rows, _ = figures.fig2([with_nominal(eight(0))])
+    rows = fig2([eight(0)])
     assert rows[0]["energy"] == 14
     assert np.isnan([rows[0][f"performance_seeds_{end}"] for end in ("low", "high")]).all()
+
+
+def test_fig4_has_a_panel_for_flat_and_for_rough_ground():
+    rows, figure = figures.fig4([eight(0), eight(0, task="rough")])
+    assert cells(rows, "task", "run") == [("flat", "EIPO"), ("rough", "EIPO")]
+    drawn = [axes.lines[0].get_ydata().tolist() for axes in figure.axes]
+    assert drawn == 2 * [[100 * i + 3.5 for i in range(11)]]
 
 
 def test_table1_has_interquartile_means_beside_the_papers():
@@ -98,26 +99,18 @@ def test_table1_has_interquartile_means_beside_the_papers():
     """
     fast = [made("a", "velocity", peak=[0, 1, 2, 3, 4, 5, 6, 1000])]
     fast += [made("b", "velocity", peak=[1.0, 1], lam=0.01)]
-    rows, figure = figures.table1(map(with_nominal, fast))
+    rows, _ = figures.table1(fast)
     assert cells(rows, "run", "peak", "paper")[0] == ("EIPO", 3.5, 2.86)
     assert rows[1]["run"] == "EIPO from 0.01" and np.isnan(rows[1]["paper"])
-    drawn = [bars.lines[0].get_xdata().tolist() for bars in figure.axes[0].containers]
-    assert [x[0] for x in drawn] == [3.5, 2.86]
-
-
-def test_table1_of_the_paper_whole():
-    """Table I as printed, lambda ascending; each interval holds its number."""
     printed = [2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37]
-    assert [value for value, _, _ in figures.TABLE1.values()] == printed
-    assert all(low <= value <= high for value, low, high in figures.TABLE1.values())
-    assert list(figures.TABLE1) == KINDS
+    assert dict(zip(KINDS, printed, strict=True)) == figures.TABLE1
 
 
 def test_fig5_draws_each_number_at_its_command():
     """Performance 1000 v_x + yaw: rows of the panel are 0.5 m/s apart, so 500, and columns 1."""
     v_x, _, yaw = record.GRID.T
     columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=1000 * v_x + yaw)
-    _, figure = figures.fig5([with_nominal(made(task="curriculum", **columns))])
+    _, figure = figures.fig5([made(task="curriculum", **columns)])
     mesh = figure.axes[0].collections[0]
     value, (x, y) = mesh.get_array(), np.moveaxis(mesh.get_coordinates(), -1, 0)
     assert value.shape == (11, 11)
@@ -139,15 +132,16 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
 
 def test_dots_of_runs():
     """Of a run its score, power, lambda and last alpha; without kept episodes it is left out."""
-    run = made("a", performance=[1, 2], power=[100, 300])._replace(metrics=dict(alpha=[200, 400]))
-    (row,) = figures.dots([run, made("b")])
+    columns = dict(performance=[1, 2, 5], power=[100, 300, 7], start_spread=[0.5, 0.5, 0])
+    run = made("a", **columns)
+    (row,) = figures.scored([run, made("b")])
     expected = dict(run="a", score=1.5, power=200, lam=0.005, alpha=400, kind="EIPO")
     assert {name: row[name] for name in expected} == expected
     for draw, x in ((figures.tradeoff, 200), (figures.lambdas, 0.005)):
-        dot, mean, *_ = draw([run])[1].axes[0].collections
+        dot, mean = draw([run])[1].axes[0].collections
         assert dot.get_offsets().tolist() == mean.get_offsets().tolist() == [[x, 1.5]]
-    with pytest.raises(ValueError, match="kept episodes"):
-        figures.dots([made("b")])
+    with pytest.raises(ValueError, match="none of the runs has"):
+        figures.tradeoff([made("b")])
 
 
 def test_regions_of_figure_5():
@@ -168,14 +162,17 @@ def test_kinds_of_runs():
     no step of alpha.
     """
     ppo = dict(algo="ppo", lr_alpha=7.0)
-    several = [made("a", lam=0.002), made("b", lr_alpha=0.01), made("c", num_envs=64)]
-    several += [
-        made("d", lam=0.005, **ppo),
-        made("e", lam=0.0, **ppo),
-        made("f"),
-        made("g", "rough"),
-    ]
-    several += [made("h", lam=0.0, algo="ppo", seed=1)]
+    settings = dict(
+        a=dict(lam=0.002),
+        b=dict(lr_alpha=0.01),
+        c=dict(num_envs=64),
+        d=dict(lam=0.005, **ppo),
+        e=dict(lam=0.0, **ppo),
+        f={},
+        g=dict(task="rough"),
+        h=dict(lam=0.0, algo="ppo", seed=1),
+    )
+    several = [made(name, **given) for name, given in settings.items()]
     kinds = sweep.by_kind(several, "flat")
     assert {kind: [run.name for run in runs] for kind, runs in kinds.items()} == {
         "EIPO": ["f"],
@@ -187,7 +184,9 @@ def test_kinds_of_runs():
     }
 
 
-@pytest.mark.parametrize(("other", "says"), [({}, "same seed"), (dict(history=3), "history")])
+@pytest.mark.parametrize(
+    ("other", "says"), [({}, "nothing, not even"), (dict(history=3), "history")]
+)
 def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     """The same kind and seed twice would count one policy double; other settings are another
     experiment.
@@ -198,29 +197,26 @@ def test_runs_that_must_not_be_pooled_are_one_line(other, says):
         sweep.by_kind([made("r")], "rough")
 
 
-def test_a_kind_has_its_color_in_every_figure():
+def test_a_kind_has_its_color_and_marker_in_every_figure():
     """EIPO is blue and a lambda has the shade of its group; of a larger one it is darker."""
-    color = sweep.color
-    assert color("EIPO") == color("EIPO from 0.01, 256 robots") == "#0072B2"
-    assert color("PPO(0)") == color("PPO(0) shaped") == color("PPO(0), 64 robots")
-    shades = [sum(color(f"PPO({lam})")) for lam in (0.3, 0.005, 0.0003, 0)]
+    look = lambda name: tuple(sweep.style(name).values())  # noqa: E731
+    assert look("EIPO, 256 robots") == ("#0072B2", "D")
+    assert look("EIPO from 0.01") == ("#0072B2", look("PPO(0.01)")[1])
+    assert look("PPO(0)") == look("PPO(0) shaped") == look("PPO(0), 64 robots")
+    shades = [sum(look(f"PPO({lam})")[0]) for lam in (0.3, 0.005, 0.0003, 0)]
     assert shades == sorted(shades) and len(set(shades)) == 4
+    assert len({look(kind)[1] for kind in KINDS}) == 10
 
 
 # ---- the tables ----
 
 
 def test_only_the_evaluation_of_the_paper_counts():
-    """Rough ground: 15 cm, random starts, pi. Each of the others is one that has another start,
-    ground, clip or policy.
-    """
-    columns = dict(performance=[1, 2, 4, 8, 16, 32], start_spread=[0.5, 0.5, 0, 0.5, 0.5, 0.5])
-    columns |= dict(torque_clip=[0, 0, 0, 0, 1, 0])
-    columns |= dict(roughness=[0.15, 0.15, 0.15, 0.1, 0.15, 0.15])
-    run = made("r", "rough", **columns, policy=["pi"] * 5 + ["prime"])
+    """Rough ground: 15 cm, from random or from nominal starts."""
+    columns = dict(performance=[1, 2, 4, 8], start_spread=[0.5, 0.5, 0, 0.5])
+    run = made("r", "rough", **columns, roughness=[0.15, 0.15, 0.15, 0.1])
     assert record.evaluation(run)["performance"].tolist() == [1, 2]
     assert record.evaluation(run, nominal=True)["performance"].tolist() == [4]
-    assert record.evaluation(run, "prime")["performance"].tolist() == [32]
 
 
 @pytest.fixture
@@ -246,7 +242,7 @@ def test_a_run_that_is_put_in_comes_out(short):
     shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
     config = json.loads((folder / "config.json").read_text())
     (start,) = config["starts"]
-    config["starts"] = [start, start | dict(cpu="a CPU", cores=2)]
+    config["starts"] = [start | dict(cpu="a CPU", cores=2), start | dict(command="again")]
     (folder / "config.json").write_text(json.dumps(config))
     for _ in range(2):  # the second time replaces the first
         assert main(["add", str(folder), "--results", "kept", "--episodes", "22"]) == 0
@@ -257,26 +253,20 @@ def test_a_run_that_is_put_in_comes_out(short):
     assert eipo_run.settings == both and ppo_run.settings["algo"] == "ppo"
     assert eipo_run.metrics["iteration"].tolist() == [10, 20, 30, 35]
     assert eipo_run.metrics["v_x"].tolist() == [10.333, 20.333, 30.333, 35.333]
-    with open("kept/flat/runs.csv") as file:
-        row, _ = csv.DictReader(file)
-    assert (row["iterations"], row["episodes"], row["cpu"], row["cores"]) == (
-        "35",
-        "22",
-        "a CPU",
-        "2",
-    )
-    for run, each, policies in ((eipo_run, 22, ("pi", "prime")), (ppo_run, 11, ("pi",))):
-        assert len(run.episodes["fell"]) == 2 * each * len(policies)
-        for which in policies:
-            for nominal in (False, True):
-                e = record.evaluation(run, which, nominal)
-                assert e["asked_v_x"].tolist() == np.repeat(np.arange(11) / 10, each // 11).tolist()
-                assert 0 < e["performance"].mean() < 1.5
-    pi, prime = (record.evaluation(eipo_run, which)["v_x"] for which in ("pi", "prime"))
-    assert pi.tolist() == prime.tolist()  # the same policy from the same starts
-    assert float(row["performance"]) == pytest.approx(
-        record.evaluation(eipo_run)["performance"].mean(), rel=1e-3
-    )
+    row = eipo_run.row
+    assert (row["iterations"], row["cpu"]) == ("35", "a CPU")
+    assert row["cores"] == "2" and json.loads(row["resumed"])[0]["command"] == "again"
+    pi, prime = (eipo_run._replace(episodes=e) for e in (eipo_run.episodes, eipo_run.prime))
+    for run, each in ((pi, 22), (prime, 22), (ppo_run, 11)):
+        assert len(run.episodes["fell"]) == 2 * each
+        for nominal in (False, True):
+            e = record.evaluation(run, nominal)
+            assert e["asked_v_x"].tolist() == np.repeat(np.arange(11) / 10, each // 11).tolist()
+            assert 0 < e["performance"].mean() < 1.5
+    # the same policy from the same starts
+    assert pi.episodes["v_x"].tolist() == prime.episodes["v_x"].tolist()
+    mean = record.evaluation(pi)["performance"].mean()
+    assert float(row["performance"]) == pytest.approx(mean, rel=1e-3) and not ppo_run.prime
 
 
 def test_velocity_keeps_speeds_over_time(short):
@@ -288,13 +278,14 @@ def test_velocity_keeps_speeds_over_time(short):
     assert run.speed["v_x"][0] == pytest.approx(record.evaluation(run)["v_x"].mean(), abs=1e-3)
 
 
-def test_old_tables_have_no_column_of_policies(tmp_path):
-    """Absent and empty both mean pi."""
-    rows = [dict(run="a", fell=1), dict(run="b", fell=0, policy="prime")]
+def test_tables_come_out_as_they_went_in(tmp_path):
+    """Five digits, and all of a whole number. An absent or empty policy means pi."""
+    rows = [dict(run="a", steps=3686400.0, x=1 / 3, y=np.inf), dict(run="b", policy="prime", z=2)]
     record.write(tmp_path / "t.csv.gz", rows)
-    tables = record.by_run(tmp_path / "t.csv.gz")
-    assert record.columns(tables["a"])["policy"].tolist() == ["pi"]
-    assert record.columns(tables["b"])["policy"].tolist() == ["prime"]
+    first, second = record.read(tmp_path / "t.csv.gz")
+    assert first == dict(run="a", steps="3686400", x="0.33333", y="inf", policy="", z="")
+    assert record.by_policy([{}, first, second]) == ([{}, first], [second])
+    assert record.columns([first]) == dict(steps=3686400, x=0.33333, y=np.inf)
 
 
 def test_the_record_can_be_read():
@@ -333,13 +324,13 @@ def test_the_page_has_the_table_of_regions():
 # ---- footfalls ----
 
 
-def test_footfalls_are_of_physics_steps():
+def test_feet_of_a_trot():
     """The policy of flat ground trots: a front foot and the hind foot across are more often
     together on the ground or in the air than two feet of one side.
     """
     policy, env = evaluate.load(RESULTS / "flat", 2, nominal=True)
     contacts, speed = footfalls.watch(policy, env, np.array([[0.6, 0, 0], [1, 0, 0]]))
-    assert contacts.shape == (footfalls.SHOWN / env.env_cfg.timestep, 2, 4)
+    assert contacts.shape == (footfalls.SHOWN / env.period, 2, 4)
     alike = lambda a, b: (contacts[..., a] == contacts[..., b]).mean()  # noqa: E731
     fr, fl, rr, rl = range(4)
     assert min(alike(fr, rl), alike(fl, rr)) > 0.6 > 0.5 > max(alike(fr, rr), alike(fl, rl))
@@ -347,14 +338,13 @@ def test_footfalls_are_of_physics_steps():
 
 
 def test_footfalls_are_bars():
-    """A foot that touches in the second of four steps of 5 ms has a bar from 5 to 10 ms."""
+    """A foot that touches in the second of four steps of 20 ms has a bar from 20 to 40 ms."""
     axes = figures.Figure().subplots()
     contact = np.zeros((4, 4), bool)
     contact[1, 2] = True
-    footfalls.draw(axes, contact, 0.005, "title")
+    footfalls.draw(axes, contact, 0.02, "title")
     corners = [path.get_extents().extents for bar in axes.collections for path in bar.get_paths()]
-    np.testing.assert_allclose(corners, [(0.005, -2.4, 0.01, -1.6)])
-    assert [label.get_text() for label in axes.get_yticklabels()] == list(go1.LEGS)
+    np.testing.assert_allclose(corners, [(0.02, -2.4, 0.04, -1.6)])
 
 
 # ---- sweeps, and what goes wrong ----
@@ -364,12 +354,12 @@ def test_table1_takes_thirty_three_runs(capsys):
     """Three seeds x (EIPO twice and the nine lambdas of Eq. (10)), which train.py accepts. EIPO has
     as many robots as PPO, and as many per policy.
     """
-    assert main(["sweep", "table1", "--threads", "1"]) == 0
+    assert main(["sweep", "table1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     found = []
     for line in lines:
         python, script, *argv = shlex.split(line)
-        assert (python, script) == ("python", "train.py") and argv[-2:] == ["--threads", "1"]
+        assert (python, script) == ("python", "train.py")
         _, *given = flags.parse(argv)
         env_cfg, cfg = flags.settle(*given)
         found.append((env_cfg.task, cfg.algo, cfg.lam, cfg.num_envs, cfg.seed))
@@ -377,20 +367,12 @@ def test_table1_takes_thirty_three_runs(capsys):
     assert found == [("velocity", *kind, seed) for kind in kinds for seed in range(3)]
 
 
-@pytest.mark.parametrize("figure", ["fig2", "fig3", "fig4", "fig5", "fig6"])
-def test_the_seeds_of_a_sweep(figure, capsys):
-    assert main(["sweep", figure, "--seeds", "10", "11"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(set(lines)) == 2 * len(sweep.SWEEPS[figure])
-    assert [line.split()[-1] for line in lines[:2]] == ["10", "11"]
-
-
 @pytest.mark.parametrize(
     ("argv", "says"),
     [
         (["fig2", str(RESULTS / "flat" / "nobody")], "no run nobody"),
         (["fig3", str(RESULTS / "flat" / "flat-ppo-lam0-seed0")], "task rough"),
-        (["add", "nowhere"], "nowhere"),
+        (["add", "nowhere"], "nowhere/config.json does not exist"),
         (["sweep", "fig7"], "table1"),
     ],
 )
@@ -402,7 +384,7 @@ def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch
 
 def test_a_damaged_table_is_one_line(tmp_path, capsys):
     shutil.copy(RESULTS / "flat" / "runs.csv", tmp_path)
-    (tmp_path / "episodes.csv.gz").write_bytes(gzip.compress(b"run,fell\na,1\nb\n"))
+    (tmp_path / "episodes.csv.gz").write_bytes(gzip.compress(b"run,fell\na,1\n")[:-9])
     assert "episodes.csv.gz is damaged" in error_of(capsys, main, "table", tmp_path / "flat-*")
 
 
@@ -412,10 +394,3 @@ def test_a_wrong_command_line_is_one_line(argv, capsys):
         main(argv)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("lab: ")
-
-
-def test_help_names_everything(capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main(["-h"])
-    said = capsys.readouterr().out
-    assert all(name in said for name in (*FIGURES, *OTHERS))

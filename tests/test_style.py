@@ -117,11 +117,6 @@ def test_every_setting_says_what_it_is_and_is_used(config):
         assert re.search(rf'(config|cfg|options)\.{name}\b|"{name}"', code), f"unread: {name}"
 
 
-def test_no_flag_stands_for_two_settings():
-    names = [field.name for config in flags.GROUPS.values() for field in fields(config)]
-    assert len(names) == len(set(names))
-
-
 # ---- pages ----
 
 

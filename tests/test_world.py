@@ -15,7 +15,6 @@ from support import (
     ON_ITS_BACK,
     ON_ITS_SIDE,
     QUARTER,
-    QUIET,
     UPRIGHT,
     make,
     place,
@@ -30,11 +29,6 @@ import go1
 import go1_env
 import rewards
 import tasks
-import terrain
-
-BOTH = pytest.mark.parametrize(
-    "roughness", [(0.0, 0.0), (1e-6, 1e-6)], ids=["plane", "height field"]
-)
 
 # ---- what an episode draws ----
 
@@ -96,18 +90,6 @@ def test_what_is_drawn_lasts_one_episode():
 
 
 # ---- rough ground ----
-
-
-def test_no_ground_is_too_steep_to_stand_on():
-    """Feet of friction 0.5 hold where the slope is at most 0.5, on all of the roughest tile.
-
-    With 4 cells per metre, as in other code of the lab, a fifth of it would be steeper (D22).
-    """
-    for task in ("rough", "velocity", "curriculum"):
-        slopes = np.gradient(make(1, task=task, tiles=1).ground, terrain.SPACING)
-        assert np.hypot(*slopes).max() < 0.5
-    slopes = np.gradient(make(1, task="rough", tiles=1, cells_per_m=4).ground, terrain.SPACING)
-    assert (np.hypot(*slopes) > 0.5).mean() == pytest.approx(0.2, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -182,8 +164,7 @@ def test_start_is_anywhere_on_the_tile():
     assert sorted(set(env.state.tile)) == list(range(16))
 
 
-@pytest.mark.parametrize(("speed", "steps"), [(3.0, 10), (1.0, 20)])
-def test_the_seam(monkeypatch, speed, steps):
+def test_the_seam(monkeypatch):
     """A robot that leaves its tile is put back and does not notice. Its twin, on the same ground,
     stays on its own, because its tiles begin 2 m further on in x and in y.
 
@@ -202,8 +183,8 @@ def test_the_seam(monkeypatch, speed, steps):
     twins_starts = [[1.9, 1.0], [2.1, 1.0], [1.0, 1.9], [2.1, 2.1]]
     for world, start in ((env, starts), (twin, twins_starts)):
         place(world, height=0.34, quaternion=quaternion)
-        world.qpos[:, :2], world.qvel[:, :2] = corner + start, speed * heading
-    for action in random_actions(env, steps) / 2:
+        world.qpos[:, :2], world.qvel[:, :2] = corner + start, 3.0 * heading
+    for action in random_actions(env, 10) / 2:
         obs, reward, ended, _, info = env.step(action)
         twins_obs, twins_reward, _, _, twins_info = twin.step(action)
         assert not ended.any()
@@ -217,34 +198,13 @@ def test_the_seam(monkeypatch, speed, steps):
     assert moved == pytest.approx(np.array([[-2, 2], [2, 2], [2, -2], [2, 2]]), abs=1e-6)
 
 
-def test_standing_on_a_height_field():
-    """Ground of 1 um carries like a plane: soles sink in by 1 mm or, being stiffer there, less.
-
-    The trunk is as high, within 1 cm. With triangles a foot has more contacts than the one with a
-    plane, and so slides apart more slowly.
-    """
-    plane, field = (
-        make(2, task="rough", roughness=(high, high), friction=(0.8, 0.8), payload=(0.0, 0.0))
-        for high in (0.0, 1e-6)
-    )
-    for env in (plane, field):
-        place(env, height=0.34)
-        still(env, 200)
-        assert np.abs(env.qvel).max() < 0.1
-    for a, b in zip(plane.qpos, field.qpos, strict=True):
-        assert -0.0015 < soles(a).min() < soles(a).max() < 0
-        assert soles(a) == pytest.approx(soles(b), abs=1e-3)
-    assert (plane.qpos[:, 2] > 0.2).all()
-    assert plane.qpos[:, 2] == pytest.approx(field.qpos[:, 2], abs=0.01)
-
-
 @pytest.mark.parametrize("task", tasks.TASKS)
 def test_no_foot_sinks_in(task):
     """D24. With the most friction and payload of a task, the soles of a robot that stands are at
     most 5 mm deep.
 
-    MuJoCo's pyramidal contacts give way the more friction they have: at 2 the soles are more than
-    1 cm deep, and at 3, as in the lab's code, the shins touch the ground, which is a fall.
+    MuJoCo's pyramidal contacts give way the more friction they have. At 3, as in the lab's code,
+    the shins would touch the ground, which is a fall.
     """
     settings = tasks.task_config(task)
     most = dict(friction=settings.friction[1:] * 2, payload=settings.payload[1:] * 2)
@@ -252,22 +212,15 @@ def test_no_foot_sinks_in(task):
     place(env, height=0.31)
     assert not any(still(env)[2] for _ in range(100))
     assert -0.005 < soles(env.qpos[0]).min() < 0
-    env.state.friction[:, env.feet, 0] = 2.0  # which no setting allows
-    still(env, 50)
-    assert soles(env.qpos[0]).min() < -0.01
-    if env.rules.only_feet:
-        env.state.friction[:, env.feet, 0] = 3.0
-        assert any(still(env)[2] for _ in range(100))
 
 
-@BOTH
-def test_no_foot_is_caught_in_the_ground(roughness):
+def test_no_foot_is_caught_in_the_ground():
     """D12. The centre of a foot that is pressed into the ground comes out again within 0.1 s.
 
     On a height field a centre below the surface may be nearer to the side of a prism than to its
     top, and is then pushed along, not up.
     """
-    env, below = make(64, task="rough", roughness=roughness), np.zeros((64, 4), int)
+    env, below = make(64, task="rough", roughness=(1e-6, 1e-6)), np.zeros((64, 4), int)
     for action in random_actions(env, 100):
         ended = env.step(action)[2]
         up = Rotation.from_quat(env.qpos[:, 3:7], scalar_first=True).as_matrix()[:, 2]
@@ -283,7 +236,7 @@ def test_no_foot_is_caught_in_the_ground(roughness):
 SOME = ["velocity", "curriculum"]  # where nothing but the feet may touch the ground
 
 
-@BOTH
+@pytest.mark.parametrize("high", [0.0, 1e-6], ids=["plane", "height field"])
 @pytest.mark.parametrize(
     ("quaternion", "height", "q", "ends"),
     [
@@ -298,30 +251,17 @@ SOME = ["velocity", "curriculum"]  # where nothing but the feet may touch the gr
     ids=["in the air", "feet", "shins", "thighs", "back", "belly, legs up", "side, on the hips"],
 )
 @pytest.mark.parametrize("task", tasks.TASKS)
-def test_what_may_touch_the_ground(task, quaternion, height, q, ends, roughness):
+def test_what_may_touch_the_ground(task, quaternion, height, q, ends, high):
     """IV-A.3, D13. 1 mm into the ground is a fall. How far parts reach from the trunk's middle:
 
     down, legs straight:  soles 0.446 m, shins 0.413 m, thighs 0.217 m, the trunk itself 0.057 m
     to the side:          hips 0.147 m
     """
-    env = make(task=task, roughness=roughness, max_power=None, **FROZEN)
+    env = make(task=task, roughness=(high, high), max_power=None, **FROZEN)
     place(env, q, height=height, quaternion=quaternion)
     _, _, terminated, truncated, info = still(env)
     assert terminated.tolist() == info["log"]["ended_fall"].tolist() == [task in ends] * 2
     assert not truncated.any() and not info["log"]["ended_diverged"].any()
-
-
-@pytest.mark.parametrize("task", tasks.TASKS)
-def test_self_contact_ends_nothing(task):
-    """With hips 0.863 rad inward right and left thighs, 0.2 m long, cross at y = 0:
-
-    begin of a thigh:  0.04675 + 0.08 cos(0.863) = 0.0988 m aside
-    crossing:          0.0988 / sin(0.863)       = 0.13 m down the thigh
-    """
-    env = make(task=task, max_power=None, **FROZEN)
-    place(env, np.tile([0.863, 0.8, -1.5, -0.863, 0.8, -1.5], 2))
-    _, _, terminated, _, info = still(env)
-    assert not terminated.any() and not info["log"]["ended_diverged"].any()
 
 
 @pytest.mark.parametrize(
@@ -409,36 +349,12 @@ def test_gravity_is_what_things_fall_by_and_what_is_felt():
     assert felt == pytest.approx(np.array([1.0, 1.0, -8.81]) / (2 + 8.81**2) ** 0.5, abs=1e-6)
 
 
-REST = 0 * QUARTER
-
-
-@pytest.mark.parametrize(
-    ("action", "limit", "ends"),
-    [
-        (QUARTER, 220.0, False),
-        (QUARTER, 200.0, True),
-        (QUARTER, None, False),
-        (REST, 42.0, False),  # to the bit: more than the limit ends an episode, the limit does not
-        (REST, np.nextafter(42.0, 0.0), True),
-    ],
-)
-def test_power_limit(action, limit, ends):
-    """IV-A.4. Joints that rest at 5 N m, of which calves need 2/3 of the motor torque, take
-
-    0.7 * 25 * (8 + 4 * 4/9) + 42 = 213.1 W
-
-    and without torque the electronics' 42 W. None is no limit.
-    """
-    power = 0.7 * 25 * (8 + 4 * 4 / 9) * action.any() + 42
-    _, _, terminated, truncated, info = quiet(max_power=limit).step(action)
-    assert info["log"]["power"] == pytest.approx([power] * 2, abs=1e-3)
-    assert terminated.tolist() == info["log"]["ended_power"].tolist() == [ends] * 2
-    assert not truncated.any() and not info["log"]["ended_fall"].any()
-
-
-@pytest.mark.parametrize(("limit", "ends"), [(130.0, False), (125.0, True)])
+@pytest.mark.parametrize(("limit", "ends"), [(130.0, False), (125.0, True), (None, False)])
 def test_power_limit_is_of_the_control_step(limit, ends):
-    """D17. Six physics steps late, 5 N m come in the last two of the second control step's four:
+    """IV-A.4, D17. Without torque joints that rest take the electronics' 42 W, and at 5 N m, of
+    which calves need 2/3 of the motor torque, 0.7 * 25 * (8 + 4 * 4/9) + 42 = 213.1 W.
+
+    Six physics steps late, 5 N m come in the last two of the second control step's four:
 
     (2 * 42 + 2 * 213.1) / 4 = 127.6 W
 
@@ -468,78 +384,32 @@ def test_a_touch_in_one_physics_step_of_four_is_a_fall():
 # ---- its commands; cells of 0.5 begin at -1 m/s and -10 rad/s ----
 
 
-def follow(env, command, cell, weight):
-    """Give all robots this command, and a weight to its cell alone."""
-    env.state.command[:], env.commands.weights[:] = command, 0.0
-    env.commands.weights[cell] = weight
-
-
 @pytest.mark.parametrize(
-    ("frame", "asked", "cell", "after"),
+    ("command", "cell", "episode_steps", "after"),
     [
-        ("heading", 1.0, (4, 20), 1.0),
-        ("heading", 0.5, (3, 20), 0.25),
-        ("body", 0.5, (3, 20), 1.0),
-        ("body", 1.0, (4, 20), 0.25),
+        ((1.0, 0.0, 0.0), (4, 20), 1000, 1.0),
+        ((0.5, 0.0, 0.0), (3, 20), 1000, 0.3),
+        ((1.0, 0.0, 2.0), (4, 24), 1000, 0.3),
+        ((1.0, 0.0, 0.0), (4, 20), 5, 0.3),
     ],
+    ids=["follows", "too fast", "turns wrongly", "half a segment"],
 )
-def test_the_curriculum_counts_the_speed_of_the_reward(frame, asked, cell, after):
-    """D25. Nose up by 60 degrees, 1 m/s over ground, of which the trunk's v_x is 1/2.
-
-    Asked for as much, in the frame of the reward, both robots succeed: 1/4 + 2 * 0.4 is at most 1.
-    An error of 1/2 counts 1 / e < 0.8.
-    """
-    env = quiet(command_steps=1, velocity_frame=frame)
-    place(env, quaternion=(cos(pi / 6), 0, -sin(pi / 6), 0), velocity=(1, 0, 0))
-    follow(env, (asked, 0.0, 0.0), cell, weight=0.25)
-    still(env)
-    assert env.commands.weights[cell] == after
-
-
-@pytest.mark.parametrize(
-    "command, cell, episode_steps, grows",
-    [
-        ((0.0, 0.0, 0.0), (2, 20), 1000, True),
-        ((1.0, 0.0, 0.0), (4, 20), 1000, False),
-        ((0.0, 0.0, 2.0), (2, 24), 1000, False),
-        ((0.0, 0.0, 0.0), (2, 20), 5, False),
-    ],
-    ids=["follows", "too slow", "turns wrongly", "half a segment"],
-)
-def test_curriculum_grows_where_the_robot_succeeds(command, cell, episode_steps, grows):
-    """Ten steps per command, and robots that stand: sums of 10 * 1 are means of 1, more than 0.8
-    and 0.5. A sum of 5 * 1 is not.
+def test_curriculum_grows_where_the_robot_succeeds(command, cell, episode_steps, after):
+    """Ten steps per command, and robots that cover 1 m/s of ground with the nose up by 60 degrees,
+    so that the trunk's own v_x is 1/2 (D25). Sums of 10 * 1 are means of 1, more than 0.8 and 0.5.
+    A sum of 5 * 1 is not, and an error of 1/2 counts 1 / e.
 
     Both succeed in one cell: 0.3 + 2 * 0.4 is at most 1, and its neighbours gain 2 * 0.2.
     """
     env = quiet(command_steps=10, episode_steps=episode_steps)
-    follow(env, command, cell, weight=0.3)
-    before = env.commands.weights.copy()
+    place(env, quaternion=(cos(pi / 6), 0, -sin(pi / 6), 0), velocity=(1, 0, 0))
+    env.state.command[:], env.commands.weights[:] = command, 0.0
+    env.commands.weights[cell] = 0.3
     log = still(env, min(10, episode_steps))[4]["log"]
-    assert log["command_area"] == pytest.approx(np.full(2, before.mean()))
-    assert not env.state.kernels.any()
-    assert (env.commands.weights != before).any() == grows
-    if grows:
-        assert env.commands.weights[2, 20] == 1.0
-        assert env.commands.weights[1, 19] == pytest.approx(0.4)
-
-
-def test_two_environments_may_share_their_commands():
-    """What the robots of pi can follow, those of pi' are asked for as well.
-
-    All the weight is on the cell (20, 5), v_x of 9 to 9.5 m/s and yaw of -7.5 to -7 rad/s.
-    """
-    commands, cfg = tasks.Grid(), tasks.task_config("curriculum", **QUIET, command_steps=1)
-    pair = [go1_env.Go1Env(4, cfg, 1, commands) for _ in range(2)]
-    for env in pair:
-        env.reset(0)
-    for env in pair:
-        follow(env, 5.0, (20, 5), weight=1.0)  # nobody follows a command of 5
-    for env in pair:
-        still(env)
-        assert env.state.command_weights is commands.weights
-        v_x, _, yaw_rate = env.state.command.T
-        assert ((v_x >= 9) & (v_x <= 9.5) & (yaw_rate >= -7.5) & (yaw_rate <= -7)).all()
+    assert log["command_area"] == pytest.approx([0.3 / 880] * 2)
+    assert not env.state.kernels.any() and env.commands.weights[cell] == after
+    neighbour = env.commands.weights[cell[0] - 1, cell[1] - 1]
+    assert neighbour == pytest.approx(0.4 if after == 1.0 else 0.0)
 
 
 # ---- V-E: the shaped reward ----
@@ -624,16 +494,6 @@ def test_what_the_shaped_reward_sees_of_contacts(seen):
     landed, times = seen[0]["landed"], [0.04, 0.06, 0.08, 0.1]
     assert landed[[*feet, 17]] == pytest.approx(np.vstack([np.diag(times), times]))
     assert not np.delete(landed, [*feet, 17], axis=0).any()
-
-
-def test_air_time_counts_from_take_off_to_landing(seen):
-    """After three steps in the air feet that land were up for 4 * 20 ms. Then the clock starts
-    anew. A foot that is off the ground for one step only has not left it [lab code].
-    """
-    env = quiet(reward="shaped", max_power=None, timestep=0.005)
-    for height in (1.0, 1.0, 1.0, 0.305, 1.0, 0.305, 1.0, 1.0):
-        place(env, height=height)
-        still(env)
-    landed = np.array([step["landed"][0] for step in seen])
-    assert landed == pytest.approx(np.array([[0.0] * 4] * 3 + [[0.08] * 4] + [[0.0] * 4] * 4))
-    assert env.state.off_ground[0].tolist() == [2] * 4
+    # the foot that touches the ground counts anew
+    off_ground = np.array([3, 4, 5, 6]) * (1 - np.eye(4))
+    assert env.state.off_ground[feet].tolist() == off_ground.tolist()
