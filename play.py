@@ -28,8 +28,8 @@ import mujoco
 import mujoco.viewer
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from scipy.spatial.transform import Rotation
 
+import go1
 import go1_env
 import policy
 import terrain
@@ -95,8 +95,9 @@ def point(camera, env, model):
     """Let a camera follow the trunk, from the front right of where the robot heads now."""
     camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     camera.trackbodyid = model.body("trunk").id
-    _, _, yaw = Rotation.from_quat(env.qpos[0, 3:7], scalar_first=True).as_euler("xyz", True)
-    camera.distance, camera.elevation, camera.azimuth = 1.2, -20.0, yaw + 110.0
+    x, y, _ = go1.motion(env.qpos, env.qvel).to_world[0, :, 0]  # the trunk's forward axis
+    camera.distance, camera.elevation = 1.2, -20.0
+    camera.azimuth = np.degrees(np.arctan2(y, x)) + 110.0
 
 
 def caption(log, command):

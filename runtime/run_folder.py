@@ -46,7 +46,9 @@ def reading(path):
     try:
         yield
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
-        raise ValueError(f"{path} cannot be read as what train.py writes: {error!r}") from None
+        missing = isinstance(error, FileNotFoundError)
+        what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
+        raise ValueError(f"{path} {what}") from None
 
 
 def read_npz(path):
