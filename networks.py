@@ -123,13 +123,11 @@ def init_mlp(rng, widths):
 
 
 def plain_policy(params, bases):
-    """The same policy as plain MLPs: params without a critic, for `make_bases(None, ...)`."""
+    """The same policy as plain MLPs: layers [(W (n, m), b (m,)), ...] of both, and log_std (A,)."""
     obs_size = sum(len(weights) for weights in params["estimator"][0].weights)
     obs = row_of_frames(bases.frame, obs_size // len(bases.frame[0]))
-    actor = dense(params["actor"], side_by_side(obs, bases.privileged), bases.action)
-    estimator = dense(params["estimator"], obs, bases.privileged)
     return dict(
-        actor=[Layer((weights,), bias) for weights, bias in actor],
-        estimator=[Layer((weights,), bias) for weights, bias in estimator],
+        actor=dense(params["actor"], side_by_side(obs, bases.privileged), bases.action),
+        estimator=dense(params["estimator"], obs, bases.privileged),
         log_std=np.asarray(params["log_std"])[bases.pair],
     )

@@ -14,7 +14,6 @@ import os
 import sys
 import threading
 import time
-import warnings
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -30,9 +29,9 @@ import mujoco.viewer
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+import go1
 import go1_env
 import policy
-import tasks
 import terrain
 from runtime import deploy, run_folder
 
@@ -40,9 +39,7 @@ from runtime import deploy, run_folder
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
 SIZE = (480, 270)  # pixels of a GIF, for each run
-COLOURS = 40  # of a GIF, without dithering, which would speckle
 NEWTON = 0.004  # m per newton of the arrows for contact forces
-PINK = (0.9, 0.0, 0.6)  # of these arrows
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 LEGS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)
@@ -69,7 +66,6 @@ def make_scene(env):
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
     model = env.build_model(ground)
     model.vis.map.force = NEWTON
-    model.vis.rgba.contactforce[:3] = PINK
     for geom in range(model.ngeom):
         leg = model.body(model.geom_bodyid[geom]).name[:2]
         if model.geom_group[geom] == 2 and leg in LEGS:
@@ -99,21 +95,16 @@ def point(camera, env, model):
     """Let a camera follow the trunk, from the front right of where the robot heads now."""
     camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     camera.trackbodyid = model.body("trunk").id
-    camera.distance, camera.elevation, camera.azimuth = 1.5, -18.0, heading(env) + 125.0
-
-
-def heading(env):
-    """Where the robot heads [degrees], counted from x to y."""
-    w, x, y, z = env.qpos[0, 3:7]
-    return np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    x, y, _ = go1.motion(env.qpos, env.qvel).to_world[0, :, 0]  # the trunk's forward axis
+    camera.distance, camera.elevation = 1.2, -20.0
+    camera.azimuth = np.degrees(np.arctan2(y, x)) + 110.0
 
 
 def caption(log, command):
     """One line that says what the robot is asked to do and what it does; log: of one robot."""
-    units = ("m/s", "m/s aside", "rad/s")
-    asked = "  ".join(f"{x:.1f} {unit}" for x, unit in zip(command, units, strict=True) if x)
-    asked = f"asked {asked}   " if asked else ""
-    return f"{asked}v_x {np.mean(log['v_x']):.1f} m/s   {np.mean(log['power']):.0f} W"
+    x, y, yaw = command
+    asked = f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s"
+    return f"{asked}   v_x {np.mean(log['v_x']):.1f} m/s   {np.mean(log['power']):.0f} W"
 
 
 # ---- the policy at work ----
@@ -149,10 +140,8 @@ def watch(env, steps, command, slow=1.0, forces=False):
     def on_key(key):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
-    if sys.platform == "linux":
-        with warnings.catch_warnings(action="ignore"):
-            if not mujoco.viewer.glfw.init():  # the viewer would end the process
-                raise ValueError("no display answers: give --web or --gif FILE")
+    if sys.platform == "linux" and not DISPLAY:  # the viewer would end the process
+        raise ValueError("there is no display: give --web or --gif FILE")
     model, data = make_scene(env)
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
@@ -170,7 +159,7 @@ def watch(env, steps, command, slow=1.0, forces=False):
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
 
-def launch_web(env, model, command, said, port, host):
+def launch_web(env, model, command, said, port):
     """MuJoCo's viewer for browsers, in a thread of its own: a handle, to be used in a with block.
 
     command: (3,) that its sliders change; said: a list with the line that it shows
@@ -181,10 +170,11 @@ def launch_web(env, model, command, said, port, host):
         from mujoco.studio.dear_imgui import dear_imgui as gui
     except ImportError:
         raise ValueError(f"--web needs MuJoCo 4.0, and this is {mujoco.__version__}") from None
-    commands = tasks.TASKS[env.env_cfg.task].commands()
+    low, high = env.task_commands.low, env.task_commands.high
 
     class Viewer(web_viewer.WebViewer):
-        _host = property(lambda self: host, lambda self, _: None)  # it would take all interfaces
+        # to answer this machine alone: the viewer itself would set all interfaces
+        _host = property(lambda self: "127.0.0.1", lambda self, _: None)
 
     class Panel(plugin.ViewerPlugin):
         @messages.handler
@@ -193,8 +183,8 @@ def launch_web(env, model, command, said, port, host):
             gui.Begin("command", True, int(gui.WindowFlags.AlwaysAutoResize))
             gui.Text(said[0])
             for i, name in enumerate(("v_x [m/s]", "v_y [m/s]", "yaw rate [rad/s]")):
-                if (low := commands.low[i]) < (high := commands.high[i]):
-                    command[i] = gui.SliderFloat(name, command[i], low, high)[1]
+                if low[i] < high[i]:
+                    command[i] = gui.SliderFloat(name, command[i], low[i], high[i])[1]
             gui.End()
 
     def run(endpoint):
@@ -207,15 +197,15 @@ def launch_web(env, model, command, said, port, host):
     return launch_thread.launch_thread(run)
 
 
-def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
-    """Show steps (an iterator of `play`) in browsers, until Ctrl-C.
+def serve(env, steps, command, port=0, slow=1.0):
+    """Show steps (an iterator of `play`) in browsers of this machine, until Ctrl-C.
 
-    port: 0 takes the first free one from 8080 on; host: at which address browsers may ask
+    port: 0 takes the first free one from 8080 on
     Raises ValueError if this MuJoCo cannot, RuntimeError if the port is taken.
     """
     model, data = make_scene(env)
     said = [""]
-    with launch_web(env, model, command, said, port, host) as handle:
+    with launch_web(env, model, command, said, port) as handle:
         handle.set_model(model, data=data)
         for log in paced(steps, slow * env.period):
             if not handle.is_running():
@@ -231,20 +221,17 @@ def serve(env, steps, command, port=0, host="127.0.0.1", slow=1.0):
 def draw(env, steps, seconds, forces=False):
     """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs.
 
-    The first second is not drawn. The camera moves with the robot, but not up and down with it.
+    The first second is not drawn.
     """
     model, data = make_scene(env)
     camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
     options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
     next(islice(steps, round(1 / env.period) - 1, None))
-    show(env, model, data)
-    camera.distance, camera.elevation, camera.azimuth = 1.0, -24.0, heading(env) + 100.0
-    camera.lookat[2] = data.qpos[2] - 0.08
+    point(camera, env, model)
     pictures, logs = [], []
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
         for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)
-            camera.lookat[:2] = data.qpos[:2]
             renderer.update_scene(data, camera, options)
             # on a height field the ground's own shadows would be specks
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = env.ground is None
@@ -263,11 +250,8 @@ def save_gif(path, pictures, captions, milliseconds):
     for image in images:
         for i, text in enumerate(captions):
             ImageDraw.Draw(image).text((SIZE[0] * i + 10, 6), text, (10, 10, 10), font)
-    # one palette, of pictures from all of it, because colours that change would flicker
-    some = np.vstack(images[:: max(1, len(images) // 8)])
-    palette = Image.fromarray(some).quantize(
-        COLOURS, Image.Quantize.MAXCOVERAGE, 3, dither=Image.Dither.NONE
-    )
+    # one palette without dithering: colours that change would flicker
+    palette = images[0].quantize(40, Image.Quantize.MAXCOVERAGE)
     first, *others = (x.quantize(dither=Image.Dither.NONE, palette=palette) for x in images)
     gif = dict(save_all=True, append_images=others, duration=milliseconds, loop=0)
     run_folder.replace_file(path, lambda file: first.save(file, "GIF", **gif))
@@ -285,7 +269,6 @@ def parse(argv):
     add("--gif", metavar="FILE", type=Path, help="draw into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
-    add("--host", default="127.0.0.1", help="of --web; 0.0.0.0: other machines, too")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
     asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
@@ -306,9 +289,6 @@ def begin(run, args):
     pi, env_cfg = deploy.load(path)
     env = make_env(env_cfg, args.roughness)
     command = np.array(args.command or deploy.example(env_cfg.task), float)
-    trained = tasks.TASKS[env_cfg.task].commands()
-    if ((command < trained.low) | (command > trained.high)).any():
-        print(f"play.py: {run} never saw this command in training", file=sys.stderr)
     return env, play(env, pi, command, args.seed, path if args.follow else None), command
 
 
@@ -321,11 +301,8 @@ def film(args, slow):
         env, steps, command = begin(run, args)
         pictures, logs = draw(env, steps, args.seconds, args.forces)
         mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
-        whose = f"{Path(run).name}\n" if len(args.runs) > 1 else ""
-        captions.append(f"{whose}{caption(mean, command)}   {slow:g} times slower")
+        captions.append(f"{Path(run).name}, {slow:g} times slower\n{caption(mean, command)}")
         robots.append(pictures)
-        if mean["ended_fall"]:
-            print(f"play.py: the robot of {run} falls: try --seed", file=sys.stderr)
     save_gif(args.gif, robots, captions, round(1000 * slow * env.period))
 
 
@@ -338,7 +315,7 @@ def main(argv):
             return 0
         seen = begin(args.runs[0], args)
         if args.web:
-            serve(*seen, args.port, args.host, args.slow or 1.0)
+            serve(*seen, args.port, args.slow or 1.0)
         else:
             watch(*seen, args.slow or 1.0, args.forces)
     except KeyboardInterrupt:

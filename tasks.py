@@ -218,7 +218,11 @@ def task_config(task="flat", **changes):
 RENAMED = dict(frame="velocity_frame")
 
 
+def tuples(record):
+    """The record with its lists turned into tuples, which neither argparse nor JSON makes."""
+    return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
+
+
 def read_config(record):
     """The Config of a dict that comes from JSON. TypeError for fields that there are not."""
-    record = {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
-    return Config(**{RENAMED.get(name, name): x for name, x in record.items()})
+    return Config(**{RENAMED.get(name, name): x for name, x in tuples(record).items()})

@@ -11,6 +11,7 @@ import os
 import shlex
 import signal
 import sys
+import zlib
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -28,8 +29,8 @@ import eipo
 import go1_env
 import tasks
 from runtime import deploy, metrics, parallel, run_folder
-from runtime.flags import Options, check_learner, check_world, parse, settle
-from runtime.interrupt import StopRequest, say
+from runtime.flags import Options, check, parse, settle
+from runtime.interrupt import StopRequest
 
 GIVE_UP = 10  # [ours] iterations without one finite gradient, after which training ends
 
@@ -51,11 +52,11 @@ def resumed_settings(folder, given, processes):
     env_cfg, cfg, threads, was = run_folder.load_settings(folder / "checkpoint.npz")
     if was != processes:
         raise ValueError(f"{folder} is a run on {was} process(es): --resume needs as many")
+    settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
-        has = (asdict(env_cfg) | asdict(cfg))[name]
-        if x != has and not (name == "iterations" and x > has):
-            flag = "--" + name.replace("_", "-")
-            raise ValueError(f"{folder} runs with {flag} {has}: --resume can only raise iterations")
+        if x != settings[name] and not (name == "iterations" and x > settings[name]):
+            what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
+            raise ValueError(f"{what}: --resume can only raise iterations")
     return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
 
 
@@ -82,16 +83,11 @@ def make_envs(env_cfg, cfg, threads):
 def check_learned(state, cfg):
     """Raise ValueError, in one line, if nothing in state is finite any more."""
     if state.pi_prime and not np.isfinite(state.dual).all():
-        raise ValueError(
-            f"alpha and its momentum are {tuple(state.dual)} after iteration {state.iteration}"
-        )
+        raise ValueError(f"alpha and its momentum are {tuple(state.dual)}")
     limit = GIVE_UP * cfg.num_epochs * cfg.num_minibatches
     for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
         if learner and learner.opt_state.notfinite_count >= limit:
-            raise ValueError(
-                f"no gradient of {name} was finite in {GIVE_UP} iterations: are rewards and "
-                "costs finite?"
-            )
+            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations")
 
 
 def save(folder, state, envs, cfg, is_last):
@@ -105,15 +101,16 @@ def save(folder, state, envs, cfg, is_last):
     for name, learner in learners.items():
         learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
         deploy.write(folder / f"{name}.npz", learner, envs[0].env_cfg, is_last)
-    metrics.draw(folder, getattr(envs[0].commands, "weights", None))
+    metrics.draw_curves(folder)
+    if isinstance(envs[0].commands, tasks.Grid):
+        metrics.draw_commands(folder, envs[0].commands.weights)
 
 
 def check_same_flags(*given):
     """Raise ValueError, on all processes, if they were not started with the same flags."""
-    flags = parallel.gather(dict(flags=json.dumps(given)))
-    for process, theirs in enumerate(flags):
-        if theirs["flags"] != flags[0]["flags"]:
-            raise ValueError(f"process {process} has other flags than process 0")
+    checksums = parallel.everyone(np.array([zlib.crc32(json.dumps(given).encode())]))
+    if (checksums != checksums[0]).any():
+        raise ValueError("the processes have different flags")
 
 
 def sync_stop_and_curriculum(stop_requested, weights, before):
@@ -141,7 +138,7 @@ def train(folder, env_cfg, cfg, options, command):
         log = metrics.Log(folder, start.iteration, cfg.iterations)
         run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
-        say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
+        print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
     weights = getattr(envs[0].commands, "weights", np.zeros(1))
     weights_before = weights.copy()
     stop = None
@@ -161,17 +158,11 @@ def train(folder, env_cfg, cfg, options, command):
             return state.iteration
 
 
-def command_line(argv):
-    """The words that started this process; the flags are those that train.py got."""
-    typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
-    return typed if set(argv) <= set(typed) else typed[: len(typed) - len(sys.argv) + 1] + argv
-
-
 def main(argv):
     """Parse, train, report. Returns the exit status."""
     given_options, given_env, given_learner = parse(argv)
     options = Options(**given_options)
-    command = command_line(argv)
+    command = ["python", *sys.orig_argv[1:]]  # whichever python it was
     is_main = not options.process
     meeting = (options.coordinator, options.processes, options.process)
     try:
@@ -182,8 +173,7 @@ def main(argv):
             env_cfg, cfg, threads = resumed_settings(folder, given, options.processes or 1)
         elif (folder / "checkpoint.npz").exists():
             raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
-        check_world(env_cfg)
-        check_learner(cfg, options.processes or 1)
+        check(env_cfg, cfg, options.processes or 1)
         pin_jax_threads(threads)
         if meeting != (None, None, None):
             parallel.join(*meeting)
@@ -201,10 +191,9 @@ def main(argv):
         return 2
     if stopped and is_main:
         again = shlex.join([*command, *([] if options.resume else ["--resume"])])
-        say(f"\nStopped after iteration {stopped}. Continue with: {again}")
+        print(f"\nStopped after iteration {stopped}. Continue with: {again}")
     elif is_main:
-        what = "policy.npz, curves.png and metrics.csv"
-        say(f"\nDone: {folder} holds {what}. Look: python play.py {folder}")
+        print(f"\nDone: {folder} holds the policy and its curves. Look: python play.py {folder}")
     return 130 if stopped else 0
 
 

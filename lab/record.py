@@ -213,7 +213,7 @@ def play(folder, task, num_episodes):
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
     asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
-    has_prime = (folder / evaluate.policy_name(prime=True)).exists()
+    has_prime = (folder / "policy_prime.npz").exists()
     for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
         policy, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
         table = dict(zip(("asked_v_x", "asked_v_y", "asked_yaw"), asked.T, strict=True))

@@ -20,11 +20,8 @@ STEPS = 50  # control steps of the trace, 1 s
 
 def of_learner(learner, env_cfg):
     """The Policy of an eipo.Learner, without a trace."""
-    plain = networks.plain_policy(learner.params, learner.bases)
     return policy.Policy(
-        actor=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["actor"]],
-        estimator=[(np.asarray(w), np.asarray(b)) for (w,), b in plain["estimator"]],
-        log_std=plain["log_std"],
+        **networks.plain_policy(learner.params, learner.bases),
         frame_scale=go1_env.FRAME_SCALE,
         q_nominal=go1.Q_NOMINAL,
         action_scale=go1_env.ACTION_SCALE,
@@ -45,10 +42,8 @@ def write(path, learner, env_cfg, last):
 def load(path):
     """The Policy in a policy.npz, and the tasks.Config of its world."""
     pi = policy.load(path)
-    try:
+    with run_folder.reading(path):
         return pi, tasks.read_config(pi.config)
-    except TypeError as error:
-        raise ValueError(f"{path} is of another version: {error}") from None
 
 
 def trace(pi, env_cfg):
@@ -59,8 +54,9 @@ def trace(pi, env_cfg):
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
     rows = []
     for seen, _ in islice(drive(pi, go1_env.Go1Env(1, world, 1), example(env_cfg.task)), STEPS):
-        made = dict(frame=pi.frame, estimate=pi.estimate, action=pi.action)
-        rows.append(seen | made | dict(target=pi.q_nominal + pi.action_scale * pi.action))
+        target = pi.q_nominal + pi.action_scale * pi.action
+        made = dict(frame=pi.frame, estimate=pi.estimate, action=pi.action, target=target)
+        rows.append(seen | made)
     return {name: np.array([row[name] for row in rows], np.float32) for name in rows[0]}
 
 

@@ -29,7 +29,6 @@ class Options:
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
-CONFIGS = tuple(GROUPS.values())
 WORDS = dict(
     task=tasks.TASKS,
     algo=("eipo", "ppo"),
@@ -39,8 +38,12 @@ WORDS = dict(
     reward=("paper", "shaped"),
 )
 FROM_0 = ("seed", "ground_seed", "latency", "process")  # whole numbers that may be 0
-ABOUT = "`python train.py --task flat` trains a policy and keeps everything in a run folder."
-LENGTH = """A run has 10 to 15 % of the paper's iterations. On flat and curriculum alpha takes
+ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
+
+tasks:
+{tasks}
+
+A run has 10 to 15 % of the paper's iterations. On flat and curriculum alpha takes
 longer steps to make up for it (D38).
 As in the paper:
   --iterations 4000 --lr-alpha 0.01  (on velocity: --iterations 10000)
@@ -78,17 +81,12 @@ def kind_of(field):
     return dict(type=value, nargs="+" if several else None, metavar=metavar)
 
 
-def typed(x):
-    """A value as one types it."""
-    return " ".join(map(str, x)) if isinstance(x, tuple) else str(x).lower()
-
-
 def parse(argv):
-    """The flags that were given: one dict of fields for each of CONFIGS."""
+    """The flags that were given: one dict of fields for each of GROUPS."""
     about = "\n".join(f"  {name:<10}  {task.about}" for name, task in tasks.TASKS.items())
     parser = argparse.ArgumentParser(
         usage="train.py [--task TASK] [--algo eipo|ppo] [--out FOLDER] [--FIELD VALUE ...]",
-        description=f"{ABOUT}\n\ntasks:\n{about}\n\n{LENGTH}",
+        description=ABOUT.format(tasks=about),
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -98,17 +96,15 @@ def parse(argv):
         group = parser.add_argument_group(title)
         by_name = {field.name: field for field in fields(config)}
         for name, comment in describe(config).items():
+            default = by_name[name].default
+            defaults = [] if default is None else [str(default)]
             own = {task: x.world | x.learner for task, x in tasks.TASKS.items()}
-            defaults = [f"{task} {typed(x[name])}" for task, x in own.items() if name in x]
-            if len(defaults) < len(own) and by_name[name].default is not None:
-                defaults.insert(0, typed(by_name[name].default))
+            defaults += [f"{task} {x[name]}" for task, x in own.items() if name in x]
             text = comment + f" (default: {', '.join(defaults)})" * bool(defaults)
             flag = "--" + name.replace("_", "-")
             group.add_argument(flag, help=text.replace("%", "%%"), **kind_of(by_name[name]))
-    given = tuples(vars(parser.parse_args(argv)))
-    return [
-        {f.name: given[f.name] for f in fields(config) if f.name in given} for config in CONFIGS
-    ]
+    given = tasks.tuples(vars(parser.parse_args(argv)))
+    return [{name: given[name] for name in describe(c) if name in given} for c in GROUPS.values()]
 
 
 def settle(given_env, given_learner):
@@ -117,24 +113,17 @@ def settle(given_env, given_learner):
     return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
 
-def check_world(env_cfg):
-    """Raise ValueError if a range of a tasks.Config has its ends in the wrong order."""
+def check(env_cfg, cfg, processes=1):
+    """Raise ValueError for settings that would train nonsense without a word."""
     for name, x in vars(env_cfg).items():
         if isinstance(x, tuple) and not x[0] <= x[1]:  # nan as well
             raise ValueError(f"{name} is {x}: the low end comes first")
-
-
-def check_learner(cfg, processes=1):
-    """Raise ValueError for an eipo.Config that would train nonsense without a word."""
     policies = 2 if cfg.algo == "eipo" else 1
     shares = policies * processes
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
-    what = f"lam is {cfg.lam}"
-    if cfg.algo == "eipo" and not cfg.lam > 0:  # nan as well
-        raise ValueError(f"{what}: EIPO starts at alpha = 1 / lam, so it must be positive")
-    if cfg.algo == "ppo" and not cfg.lam >= 0:
-        raise ValueError(f"{what}: it must not be negative")
+    if not (cfg.lam > 0 if cfg.algo == "eipo" else cfg.lam >= 0):  # nan as well
+        raise ValueError(f"lam is {cfg.lam}: it must be positive, or 0 for PPO")
     if cfg.algo == "ppo" and cfg.alpha0 is not None:
         raise ValueError("alpha0 is EIPO's: PPO's alpha is 1 / lam, so give --lam")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
@@ -148,8 +137,3 @@ def check_learner(cfg, processes=1):
         raise ValueError("num_minibatches is greater than num_steps * num_envs of each policy")
     if batch % processes:
         raise ValueError(f"{processes} processes have no equal shares of a minibatch of {batch}")
-
-
-def tuples(record):
-    """The record with its lists turned into tuples, which neither argparse nor JSON makes."""
-    return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}

@@ -1,8 +1,6 @@
-"""How a run ends when it is told to: Ctrl-C, SIGTERM, or SIGHUP of a terminal that closes."""
+"""How a run ends when it is told to, by Ctrl-C or SIGTERM."""
 
-import os
 import signal
-import sys
 
 
 class StopRequest:
@@ -14,22 +12,11 @@ class StopRequest:
 
     def __init__(self):
         self.requested = False
-        names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-        numbers = [getattr(signal, name) for name in names]
-        self.numbers = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]  # nohup
-        for number in self.numbers:
-            signal.signal(number, self.hear)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) != signal.SIG_IGN:  # a script's `&` lets it ignore SIGINT
+                signal.signal(number, self.hear)
 
-    def hear(self, *_):
+    def hear(self, number, _):
         self.requested = True
-        for number in self.numbers:
-            signal.signal(number, signal.SIG_DFL)
-        say("\nStopping after this iteration. Ctrl-C again stops at once")
-
-
-def say(text, end="\n"):
-    """Print, whether or not anybody still listens."""
-    try:
-        print(text, end=end, flush=True)
-    except OSError:  # a terminal that was closed must not end a run before it is saved
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        signal.signal(number, signal.SIG_DFL)
+        print("\nStopping after this iteration. Ctrl-C again stops at once", flush=True)

@@ -7,7 +7,6 @@ knows of processes. `jax.distributed` connects them: Gloo between CPUs, NCCL bet
 the first device that it sees.
 """
 
-import io
 import socket
 import sys
 
@@ -46,17 +45,6 @@ def join(coordinator, processes, process):
 
 
 # ---- what each has, for all ----
-
-
-def gather(arrays):
-    """The named arrays of every process, a list of dicts. Names and shapes may differ."""
-    if jax.process_count() == 1:
-        return [arrays]
-    np.savez(file := io.BytesIO(), **arrays)
-    lengths = everyone(np.array([len(file.getvalue())]))
-    length = -(-lengths.max() // 2**16) * 2**16  # one of few, because JAX compiles anew for each
-    rows = everyone(np.frombuffer(file.getvalue().ljust(length, b"\0"), np.uint8)[None])
-    return [dict(np.load(io.BytesIO(row[:n]))) for row, n in zip(rows, lengths, strict=True)]
 
 
 def everyone(tree):

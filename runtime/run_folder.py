@@ -31,15 +31,13 @@ import eipo
 import tasks
 from go1_env import CORES
 from runtime import parallel
-from runtime.flags import tuples
 
 try:
     import fcntl
 except ImportError:
     fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
 
-# environment variable from which JAX takes its number of threads on a CPU
-JAX_THREADS = "PJRT_NPROC"
+JAX_THREADS = "PJRT_NPROC"  # environment variable with the number of JAX's threads on a CPU
 
 
 @contextmanager
@@ -49,8 +47,8 @@ def reading(path):
         yield
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
         missing = isinstance(error, FileNotFoundError)
-        why = "does not exist" if missing else "is damaged, or of another program or version"
-        raise ValueError(f"{path} {why}" + f": {error!r}" * (not missing)) from None
+        what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
+        raise ValueError(f"{path} {what}") from None
 
 
 def read_npz(path):
@@ -94,24 +92,21 @@ def commit():
     here = dict(cwd=Path(__file__).parent, capture_output=True, text=True)
     try:
         return subprocess.run(command, **here).stdout.strip() or "unknown"
-    except OSError:  # no git
+    except FileNotFoundError:  # there is no git
         return "unknown"
 
 
 def cpu_model():
     """The name of this machine's processor, as the system gives it."""
-    try:
-        names = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.M)
-    except OSError:  # no Linux
-        names = []
+    linux = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*: (.*)", linux.read_text()) if linux.exists() else []
     return names[0] if names else platform.processor()
 
 
 def save_config(folder, env_cfg, cfg, command, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
-    command: list of the words that were typed
-    resume:  whether to keep the entries of earlier starts
+    command: list of the words that were typed; resume: whether to keep earlier starts' entries
     """
     path = folder / "config.json"
     with reading(path):
@@ -125,24 +120,14 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
     replace_file(path, lambda file: file.write(text.encode()))
 
 
-def load_config(folder):
-    """The tasks.Config and eipo.Config of a run, from its config.json."""
-    path = folder / "config.json"
-    with reading(path):
-        return to_configs(json.loads(path.read_text()))
-
-
-def to_configs(record):
-    """The tasks.Config and eipo.Config of a record from JSON with "env" and "learner"."""
-    return tasks.read_config(record["env"]), eipo.Config(**tuples(record["learner"]))
-
-
 # ---- checkpoint.npz ----
 
 
 def saved(env):
     """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    rng = np.array(json.dumps(env.rng.bit_generator.state))
+    rng = np.array(
+        json.dumps(env.rng.bit_generator.state), "U256"
+    )  # of one length on all processes
     return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
 
 
@@ -158,9 +143,10 @@ def save_checkpoint(path, state, envs, cfg):
     """Write the State, the settings, and the environments of every process, which all call this."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
-    own = {f"env{i}.{name}": x for i, env in enumerate(envs) for name, x in saved(env).items()}
-    for process, theirs in enumerate(parallel.gather(own)):
-        arrays |= {f"process{process}.{name}": x for name, x in theirs.items()}
+    for i, env in enumerate(envs):
+        of_all = parallel.everyone({name: x[None] for name, x in saved(env).items()})
+        for name, each in of_all.items():
+            arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
     settings |= dict(jax_threads=os.environ.get(JAX_THREADS), processes=jax.process_count())
     arrays["settings"] = np.array(json.dumps(settings))
@@ -173,7 +159,8 @@ def load_settings(path):
     arrays = read_npz(path)
     with reading(path):
         record = json.loads(str(arrays["settings"]))
-        return *to_configs(record), record["jax_threads"], record["processes"]
+        env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
+        return env_cfg, eipo.Config(**cfg), record["jax_threads"], record["processes"]
 
 
 def load_checkpoint(path, template, envs):

@@ -20,6 +20,7 @@ import tasks
 from mirror import make_bases
 from networks import Layer
 from runtime import deploy, run_folder
+from runtime.flags import settle
 
 LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 
@@ -218,18 +219,8 @@ def started(command, seconds=SECONDS, **options):
 # ---- run folders and commands ----
 
 ROOT = go1.MODEL.parent  # of the repository
-TINY = [
-    "--num-envs",
-    "4",
-    "--num-steps",
-    "4",
-    "--hidden",
-    "8",
-    "--hidden-estimator",
-    "8",
-    "--history",
-    "2",
-]
+TINY = ["--num-envs", "4", "--num-steps", "4", "--history", "2"]
+TINY += ["--hidden", "8", "--hidden-estimator", "8"]
 
 
 def make_run(folder, task="flat", action=None, **learner):
@@ -237,12 +228,8 @@ def make_run(folder, task="flat", action=None, **learner):
     likes; its path.
     """
     env_cfg = tasks.task_config(task, history=2, tiles=2)
-    own = {
-        name: x
-        for name, x in tasks.TASKS[task].learner.items()
-        if name not in ("iterations", "num_envs")
-    }
-    cfg = eipo.Config(**dict(hidden=(8,), hidden_estimator=(8,)) | own | learner)
+    small = dict(hidden=(8,), hidden_estimator=(8,))
+    _, cfg = settle(dict(task=task), small | learner)
     env = go1_env.Go1Env(1, env_cfg, 1)
     pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, 2, False, cfg.ppo)
     if action is not None:

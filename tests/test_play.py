@@ -3,7 +3,6 @@
 import ctypes.util
 import itertools
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -16,7 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import ROOT, contents, error_of, full_disk, make_run, started
+from support import ROOT, error_of, make_run, started
 
 import play
 import tasks
@@ -52,18 +51,17 @@ def env():
 
 @pytest.fixture(scope="module")
 def gifs(runs, tmp_path_factory):
-    """A folder with flat.gif, forces.gif and two.gif, all made by one process without a display."""
+    """A folder with flat.gif and two.gif, both made by one process without a display."""
     folder = tmp_path_factory.mktemp("gifs")
     flat, velocity = (str(runs[task]) for task in ("flat", "velocity"))
     argvs = [
         [flat, "--gif", f"{folder}/flat.gif", "--seconds", "0.3"],
-        [flat, "--gif", f"{folder}/forces.gif", "--seconds", "0.1", "--slow", "1", "--forces"],
-        [flat, velocity, "--gif", f"{folder}/two.gif", "--seconds", "0.1"],
+        [flat, velocity, "--gif", f"{folder}/two.gif", "--seconds", "0.1", "--forces"],
     ]
     code = f"import play; print([play.main(argv) for argv in {argvs}])"
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
-    assert done.stdout == "[0, 0, 0]\n", done.stderr
+    assert done.stdout == "[0, 0]\n", done.stderr
     return folder
 
 
@@ -88,17 +86,6 @@ def test_a_gif_has_a_picture_for_each_control_step(gifs):
 
 
 @needs_gl
-def test_legs_and_forces_have_colours_of_their_own(gifs):
-    """Orange and blue legs on a grey floor; pink arrows, only if they are asked for."""
-    for name, pink_too in (("flat", False), ("forces", True)):
-        pictures, _ = frames(gifs / f"{name}.gif")
-        red, green, blue = np.moveaxis(pictures, -1, 0)
-        assert (red - blue > 120).sum() > 100 and (blue - red > 100).sum() > 100
-        pink = (np.minimum(red, blue) - green > 70).sum()
-        assert (pink > 10) == pink_too
-
-
-@needs_gl
 def test_two_runs_stand_side_by_side(gifs):
     """On the left a plane that shows no sky, on the right bumps; 5 steps of each."""
     pictures, _ = frames(gifs / "two.gif")
@@ -107,45 +94,14 @@ def test_two_runs_stand_side_by_side(gifs):
     assert np.abs(left - right).mean() > 10
 
 
-def test_a_gif_is_replaced_in_one_step(tmp_path):
-    """A disk that fills up while it is written keeps the old one whole."""
-    noise = np.random.default_rng(0).integers(256, size=(1, 4, 90, 120, 3), dtype=np.uint8)
-    path = tmp_path / "a.gif"
-    path.write_bytes(b"before")
-    with full_disk(10_000), pytest.raises(OSError):
-        play.save_gif(path, noise, ["noise"], 20)
-    assert contents(tmp_path) == {"a.gif": b"before"}
-    play.save_gif(path, noise, ["noise"], 20)
-    assert frames(path)[1] == [20] * 4
-
-
-def test_a_gif_says_what_was_done_and_that_the_robot_fell(runs, monkeypatch, capsys):
-    """Means over the pictures: (1 + 2) / 2 m/s and (100 + 300) / 2 W."""
-    logs = [
-        dict(v_x=[1.0], power=[100.0], ended_fall=[0]),
-        dict(v_x=[2.0], power=[300.0], ended_fall=[1]),
-    ]
-    seen = []
-    monkeypatch.setattr(play, "draw", lambda *_: ([None] * 2, logs))
-    monkeypatch.setattr(play, "save_gif", lambda *args: seen.append(args))
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    assert play.main([str(runs["flat"]), str(runs["rough"]), "--gif", "a.gif"]) == 0
-    ((_, _, captions, milliseconds),) = seen
-    said = "asked 1.0 m/s   v_x 1.5 m/s   200 W   4 times slower"
-    assert captions == [f"flat\n{said}", f"rough\n{said}"] and milliseconds == 80
-    assert "flat falls" in capsys.readouterr().err
-
-
 # ---- what goes wrong ----
 
 
 def test_without_opengl_or_display_a_line_says_what_to_do(runs, capsys, monkeypatch):
     for display in DISPLAYS:
         monkeypatch.delenv(display, raising=False)
-    monkeypatch.setattr(play, "make_scene", None)
+    monkeypatch.setattr(play, "DISPLAY", None)
     if sys.platform == "linux":
-        assert "--gif" in error_of(capsys, play.main, runs["flat"])
-        monkeypatch.setenv("DISPLAY", ":4321")  # as tmux keeps it of a connection that is gone
         assert "--gif" in error_of(capsys, play.main, runs["flat"])
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert "libegl1" in error_of(capsys, play.main, runs["flat"], "--gif", "a.gif")
@@ -162,16 +118,14 @@ def test_what_is_no_run_folder_is_one_line(tmp_path, capsys, monkeypatch, argv):
 
 
 @pytest.mark.parametrize(
-    "task, argv, command, warns",
+    "task, argv, command",
     [
-        ("flat", "", [1, 0, 0], False),
-        ("velocity", "", [0, 0, 0], False),
-        ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2], True),
+        ("flat", "", [1, 0, 0]),
+        ("velocity", "", [0, 0, 0]),
+        ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2]),
     ],
 )
-def test_the_command_is_the_tasks_greatest_or_the_given_one(
-    runs, monkeypatch, capsys, task, argv, command, warns
-):
+def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
     monkeypatch.setattr(
         play, "watch", lambda env, steps, asked, *_: seen.append((next(steps), asked))
@@ -179,7 +133,6 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(
     assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, asked),) = seen
     assert asked.tolist() == command and log["command_x"] == command[:1]
-    assert bool(capsys.readouterr().err) == warns  # a command that was never trained
 
 
 @pytest.mark.parametrize(
@@ -210,17 +163,6 @@ def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then)
     assert seen == [[0.5], [0.5], [then], [then]]
 
 
-def test_the_command_may_change_on_the_way(runs):
-    """What the arrow keys do: from the next frame on the policy sees another command."""
-    pi, env_cfg = deploy.load(runs["flat"] / "policy.npz")
-    command = np.array([0.5, 0, 0])
-    steps = play.play(play.make_env(env_cfg), pi, command)
-    for v_x in (0.5, 0.75):
-        command[0] = v_x
-        next(steps)
-        assert pi.frame[3:6].tolist() == [v_x, 0, 0]
-
-
 # ---- the window ----
 
 
@@ -230,7 +172,7 @@ class FakeViewer:
     """
 
     def __init__(self, keys):
-        self.keys, self.texts, self.cam, self.lock = iter(keys), [], mujoco.MjvCamera(), nullcontext
+        self.keys, self.cam, self.lock = iter(keys), mujoco.MjvCamera(), nullcontext
         self.left, self.opt = len(keys), mujoco.MjvOption()
 
     @contextmanager
@@ -242,7 +184,7 @@ class FakeViewer:
         return self.left > 0
 
     def set_texts(self, texts):
-        self.texts.append(re.sub(" +", " ", texts[2]))
+        self.text = texts[2]
 
     def sync(self):
         self.left -= 1
@@ -255,7 +197,7 @@ def watch(monkeypatch, env, keys, command, *options):
     clock = SimpleNamespace(sleep=slept.append, monotonic=itertools.count(0, 0.005).__next__)
     monkeypatch.setattr(play, "time", clock)
     monkeypatch.setattr(mujoco.viewer, "launch_passive", viewer.launch_passive)
-    monkeypatch.setattr(mujoco.viewer.glfw, "init", lambda: True)
+    monkeypatch.setattr(play, "DISPLAY", ":0")
     log = dict(v_x=np.array([1.26]), power=np.array([300.4]))
     play.watch(env, itertools.repeat(log), command, *options)
     return viewer, slept
@@ -279,19 +221,11 @@ def test_keys_set_the_command(monkeypatch, env, keys, command):
     assert asked == pytest.approx(command)
 
 
-def test_the_overlay_says_what_is_asked_and_done(monkeypatch, env):
-    """1.26 m/s and 300.4 W of the log, rounded; what is not asked for is not mentioned."""
-    viewer, _ = watch(
-        monkeypatch, env, [glfw.KEY_LEFT, glfw.KEY_BACKSPACE, 0], np.array([0.4, 0, 0])
-    )
-    done = "v_x 1.3 m/s 300 W"
-    assert viewer.texts == [f"asked 0.4 m/s {done}", f"asked 0.4 m/s 0.1 rad/s {done}", done]
-
-
 def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch, env):
     """A control step lasts 20 ms, of which a frame's work takes 5; four times slower 80."""
     force = mujoco.mjtVisFlag.mjVIS_CONTACTFORCE
     viewer, slept = watch(monkeypatch, env, [0] * 4, np.zeros(3))
+    assert "v_x 1.3 m/s   300 W" in viewer.text
     assert slept == pytest.approx([0.015] * 4) and viewer.opt.flags[force] == 0
     assert viewer.data.qpos.tolist() == env.qpos[0].tolist()
     assert viewer.cam.trackbodyid == viewer.model.body("trunk").id

@@ -16,10 +16,10 @@ from support import DAMAGES, ROOT, SECONDS, TINY, contents, error_of, full_disk,
 
 import eipo
 import train
-from runtime import metrics, run_folder
+from runtime import metrics
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
-SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+SIGNALS = signal.SIGINT, signal.SIGTERM
 
 
 @pytest.fixture(autouse=True)
@@ -122,28 +122,11 @@ def test_resume_with_more_iterations_equals_one_long_run(tmp_path, flags):
     run(*flags, "--iterations", 3, "--out", tmp_path / "short")
     resume(tmp_path / "short", "--iterations", 6)
     assert rows(tmp_path / "short") == rows(tmp_path / "long")
-    assert run_folder.load_config(tmp_path / "short") == run_folder.load_config(tmp_path / "long")
-    starts = json.loads((tmp_path / "short" / "config.json").read_text())["starts"]
-    assert ["--resume" in start["command"] for start in starts] == [False, True]
-
-
-@pytest.mark.parametrize(
-    "typed, argv, whole, expected",
-    [
-        ("python train.py --seed 1", ["--seed", "1"], 1, "python train.py --seed 1"),
-        ("python -m mine --b 3 --seed 1", ["--seed", "1"], 2, "python -m mine --b 3 --seed 1"),
-        ("python sweep.py", ["--seed", "1"], 1, "python sweep.py --seed 1"),
-    ],
-    ids=["train.py", "own flags", "sweep"],
-)
-def test_the_command_is_the_one_that_was_given(monkeypatch, typed, argv, whole, expected):
-    """A script that wraps train.py, because its reward is another, must not be told to go on with
-    train.py.
-    """
-    words = shlex.split(typed)
-    monkeypatch.setattr(sys, "orig_argv", words)
-    monkeypatch.setattr(sys, "argv", ["/path/of/script.py", *words[whole + 1 :]])
-    assert train.command_line(argv) == shlex.split(expected)
+    short, long = (
+        json.loads((tmp_path / x / "config.json").read_text()) for x in ("short", "long")
+    )
+    assert (short["env"], short["learner"]) == (long["env"], long["learner"])
+    assert len(short["starts"]) == 2
 
 
 def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
@@ -193,18 +176,6 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
     assert rows(tmp_path) == rows(finished)
 
 
-@pytest.mark.slow
-def test_a_closed_terminal_saves(finished, tmp_path):
-    """SIGHUP, when nobody reads any more what is printed."""
-    with half_done(tmp_path) as process:
-        process.stdout.close(), process.stderr.close()
-        process.send_signal(signal.SIGHUP)
-        assert process.wait() == 130
-    assert 5 <= len(rows(tmp_path)) - 1 < 20
-    resume(tmp_path)
-    assert rows(tmp_path) == rows(finished)
-
-
 def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
     """There is nothing to save. No other test has layers of six, so JAX has to compile."""
     command = [sys.executable, ROOT / "train.py", *FLAGS, "--hidden", "6", "--out", tmp_path]
@@ -217,7 +188,6 @@ def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_the_second_signal_ends_a_run_and_an_ignored_one_stays_ignored(number):
-    """Under nohup a run outlives its terminal: SIGHUP is ignored."""
     code = f"""
 import os, signal
 from runtime.interrupt import StopRequest
@@ -248,7 +218,7 @@ def learners(pi, pi_prime):
 def test_a_run_does_not_go_on_without_alpha(dual):
     """D44. nan > 0 is false, so that line 13 would put alpha to 0 for good."""
     state = learners(0, 0)._replace(dual=dual)
-    with pytest.raises(ValueError, match=r"^alpha and its momentum are .* after iteration 7$"):
+    with pytest.raises(ValueError, match="alpha and its momentum are"):
         train.check_learned(state, eipo.Config())
     # at lam = 0 its alpha is infinite
     train.check_learned(state._replace(pi_prime=None), eipo.Config(algo="ppo"))
@@ -322,44 +292,6 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, began_with, 
 
 
 # ---- the numbers of a run ----
-
-
-def test_metrics_are_read_as_columns(tmp_path):
-    """Two rows of two columns, and what a full disk made of a third; no row; something else."""
-    for torn in ("", "3", "3\n"):
-        (tmp_path / "metrics.csv").write_text("iteration,reward\n1,0.5\n2,0.75\n" + torn)
-        columns = {name: x.tolist() for name, x in metrics.read(tmp_path).items()}
-        assert columns == dict(iteration=[1.0, 2.0], reward=[0.5, 0.75])
-    for empty in ("", "iteration,reward\n"):
-        (tmp_path / "metrics.csv").write_text(empty)
-        assert metrics.read(tmp_path) == {}
-    (tmp_path / "metrics.csv").write_text("iteration,reward\n1,much\n")
-    with pytest.raises(ValueError, match=r"metrics\.csv is damaged.*much"):
-        metrics.read(tmp_path)
-
-
-def test_rows_of_another_version_keep_their_columns(tmp_path):
-    (tmp_path / "metrics.csv").write_text("iteration,old,steps\n1,0.5,4\n2,0.5,8\n")
-    metrics.Log(tmp_path, 1, 600).add(2, NUMBERS | dict(steps=8, new=3))
-    columns = metrics.read(tmp_path)
-    assert set(columns) == {"iteration", "old", "steps"}
-    assert columns["steps"].tolist() == [4, 8] and np.isnan(columns["old"][1])
-
-
-def test_rows_that_are_lost_are_no_reason_to_stop(copied):
-    (copied / "metrics.csv").unlink()
-    resume(copied, "--iterations", 21)
-    assert metrics.read(copied)["iteration"].tolist() == [21]
-
-
-def test_drawing_never_stops_training(tmp_path, capsys, monkeypatch):
-    def draw_curves(folder):
-        raise ImportError("no\nfont")
-
-    monkeypatch.setattr(metrics, "draw_curves", draw_curves)
-    run("--out", tmp_path)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "no picture" in line and (tmp_path / "checkpoint.npz").exists()
 
 
 NUMBERS = dict(reward=0, v_x=0, power=0, alpha=290.12, steps_per_s=1, time_s=1, iteration=1)

@@ -337,7 +337,9 @@ def test_the_plain_policy_is_the_same_policy(is_mirrored):
     """
     env, params, bases = new_policy(is_mirrored)
     whole = networks.plain_policy(params, bases)
-    assert [layer.weights[0].shape for layer in whole["actor"]] == [(91, 16), (16, 8), (8, 12)]
+    assert [weights.shape for weights, _ in whole["actor"]] == [(91, 16), (16, 8), (8, 12)]
+    for net in ("actor", "estimator"):
+        whole[net] = [networks.Layer((weights,), bias) for weights, bias in whole[net]]
     obs, _ = env.observe()
     same = zip(policy(params, obs, bases), policy(whole, obs, robot_bases(False)), strict=True)
     for here, there in same:
