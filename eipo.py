@@ -116,8 +116,8 @@ def eipo(env, env_prime, cfg, state=None):
         advantage = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
         pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime, tau_prime, cfg.lam, cfg.ppo)
-        advantage_prime = est_prime.advantage[..., 0]  # Alg.1 L10
+        est_prime = estimate(pi_prime, tau_prime, cfg.lam, cfg.ppo)  # Alg.1 L10
+        advantage_prime = est_prime.advantage[..., 0]
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
             pi_prime, tau_prime, est_prime, advantage_prime, key_update_prime, cfg.ppo
         )
@@ -173,7 +173,7 @@ def init_state(env, env_prime, cfg):
     """
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     pi, pi_prime = init_learner(rng, env, 2, cfg.mirror, cfg.ppo), None
-    env.reset(2 * cfg.seed)
+    env.reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
     if env_prime is not None:
         pi_prime = init_learner(rng_prime, env_prime, 1, cfg.mirror, cfg.ppo)
         env_prime.reset(2 * cfg.seed + 1)

@@ -101,7 +101,7 @@ class Go1Env:
         self.ground = None
         if levels.any():
             self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m)
-        model = self.build_model(self.ground)
+        model = go1.build_model(env_cfg.timestep, self.ground)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
@@ -111,14 +111,10 @@ class Go1Env:
         self.ctrl = self.batch.bind("ctrl")
         # (N, 17) of ground with trunk, hips and thighs (9), calves (4) and feet (4)
         self.contacts = self.batch.bind("sensordata")
-        self.state = self._blank_state()
+        self.state = self._make_state()
         self.rng = np.random.default_rng(0)
 
-    def build_model(self, ground):
-        """The robot's model on heights (ny, nx) [m] or, if None, on a plane."""
-        return go1.build_model(self.env_cfg.timestep, ground)
-
-    def _blank_state(self):
+    def _make_state(self):
         """All that the next step depends on, but for the rng: arrays that change only in place."""
         n = self.num_envs
         batch = self.batch
@@ -147,7 +143,7 @@ class Go1Env:
         return state
 
     def reset(self, seed, command=None):
-        """Start a new episode for every robot. Returns obs as `step` does, and info["privileged"].
+        """Start a new episode for every robot. Returns obs as `step` does, and an empty info.
 
         seed: what np.random.default_rng takes
         command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes;
@@ -164,8 +160,7 @@ class Go1Env:
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
             self._observe_first(np.arange(self.num_envs))
-        obs, privileged = self.observe()
-        return obs, dict(privileged=privileged)
+        return self.observe()[0], {}
 
     def observe(self):
         """What the robots see, (N, obs_size) float32, and the privileged part, (N, 3) [m/s]."""
@@ -194,7 +189,8 @@ class Go1Env:
         power, cost = self._power_and_cost(physics)
         reward, cost = np.where(diverged, 0.0, [reward, cost])
         power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
-        fell = physics.touched[:, self._forbidden()].any(-1) & ~diverged
+        forbidden = go1.ALL_BUT_FEET if self.rules.only_feet else go1.TRUNK_TO_THIGHS
+        fell = physics.touched[:, forbidden].any(-1) & ~diverged  # however lightly it touches
         overload = (power > (env_cfg.max_power or np.inf)) & ~fell & ~diverged
         terminated = diverged | fell | overload
         truncated = ~terminated & (state.age >= env_cfg.episode_steps)
@@ -235,13 +231,9 @@ class Go1Env:
             self.ctrl[:] = go1.limit_torque(state.strength * torque, qd, torque_speed)
             torques.append(self.ctrl.copy())
             self.batch.step()
-            touched |= self.contacts > 0  # N
+            touched |= self.contacts > 0  # newtons
             speeds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
         return Physics(np.array(torques), np.array(speeds), touched)
-
-    def _forbidden(self):
-        """The contact sensors that end an episode, however lightly they touch the ground."""
-        return go1.ALL_BUT_FEET if self.rules.only_feet else go1.TRUNK_TO_THIGHS
 
     def _power_and_cost(self, physics):
         """Power (N,) [W] and auxiliary cost f (N,) of Physics, means over its steps."""
@@ -261,7 +253,8 @@ class Go1Env:
     def _reward(self, motion, physics, action_before):
         """The reward of the task and the one to learn from, (N,) each: the same unless shaped.
 
-        It also counts on: how well the command is followed, and how long feet are off the ground.
+        It also updates two counters: how well the command is followed, and how long each foot has
+        been off the ground.
         """
         state = self.state
         velocity = motion.heading

@@ -31,7 +31,7 @@ from mirror import (
 class Layer(NamedTuple):
     """A linear layer. Right and left units share a bias, so it has no odd half."""
 
-    weights: tuple  # of one matrix (n, m) for each half
+    weights: tuple  # one matrix (n, m) per half
     bias: jax.Array  # (m,) of the even half, or of the only one
 
 
@@ -113,7 +113,8 @@ def init_mlp(rng, widths):
     """
 
     def uniform(fan_in, *shape):
-        return (rng.uniform(-1, 1, shape) / np.sqrt(max(fan_in, 1))).astype(np.float32)
+        scale = np.sqrt(max(fan_in, 1))  # an odd half may be empty
+        return (rng.uniform(-1, 1, shape) / scale).astype(np.float32)
 
     layers = []
     for ins, outs in pairwise(widths):

@@ -64,7 +64,7 @@ def make_scene(env):
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
-    model = env.build_model(ground)
+    model = go1.build_model(env.env_cfg.timestep, ground)
     model.vis.map.force = NEWTON
     for geom in range(model.ngeom):
         leg = model.body(model.geom_bodyid[geom]).name[:2]

@@ -80,8 +80,8 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def check_learned(state, cfg):
-    """Raise ValueError, in one line, if nothing in state is finite any more."""
+def check_finite(state, cfg):
+    """Raise ValueError if alpha is not finite, or if no gradient was for GIVE_UP iterations."""
     if state.pi_prime and not np.isfinite(state.dual).all():
         raise ValueError(f"alpha and its momentum are {tuple(state.dual)}")
     limit = GIVE_UP * cfg.num_epochs * cfg.num_minibatches
@@ -144,7 +144,7 @@ def train(folder, env_cfg, cfg, options, command):
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
-        check_learned(state, cfg)
+        check_finite(state, cfg)
         stop = stop or StopRequest()
         stopped = sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs

@@ -219,17 +219,17 @@ def test_a_run_does_not_go_on_without_alpha(dual):
     """D44. nan > 0 is false, so that line 13 would put alpha to 0 for good."""
     state = learners(0, 0)._replace(dual=dual)
     with pytest.raises(ValueError, match="alpha and its momentum are"):
-        train.check_learned(state, eipo.Config())
+        train.check_finite(state, eipo.Config())
     # at lam = 0 its alpha is infinite
-    train.check_learned(state._replace(pi_prime=None), eipo.Config(algo="ppo"))
+    train.check_finite(state._replace(pi_prime=None), eipo.Config(algo="ppo"))
 
 
 def test_a_run_ends_when_nothing_was_learned_for_ten_iterations():
     """D44. 10 iterations of 5 x 4 minibatches, none of which had a finite gradient: 200."""
-    train.check_learned(learners(199, 199), eipo.Config())
+    train.check_finite(learners(199, 199), eipo.Config())
     for counts, culprit in ((200, 0), "pi"), ((0, 200), "pi_prime"):
         with pytest.raises(ValueError, match=f"^no gradient of {culprit} was finite in 10 iter"):
-            train.check_learned(learners(*counts), eipo.Config())
+            train.check_finite(learners(*counts), eipo.Config())
 
 
 # ---- what stands in the way ----
