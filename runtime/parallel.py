@@ -3,8 +3,8 @@ same learner, and share the arithmetic of every minibatch.
 
 On one process nothing here does anything. On several, `Shared` shows the algorithm an environment
 of all robots, and `shared` divides the gradient of each minibatch. Nothing else of the algorithm
-knows of processes. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process takes
-the first device that it sees.
+knows of processes. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process
+takes the first device that it sees.
 """
 
 import socket
