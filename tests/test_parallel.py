@@ -187,7 +187,8 @@ def test_flags_that_do_not_fit_are_one_line(tmp_path, capsys, flags, says):
 def test_alone_nothing_is_changed():
     """Nor copied: without the flags a run is the same to the bit."""
     tree = dict(a=np.ones(2), b=(1, 2.5))
-    for function in parallel.everyone, parallel.everywhere, parallel.spread:
+    assert parallel.shared(len) is len
+    for function in parallel.everyone, parallel.everywhere:
         assert function(tree) is tree
     weights, before = np.array([0.1, 1.0]), np.array([0.3, 0.0])
     assert train.sync_stop_and_curriculum(True, weights, before) is True
