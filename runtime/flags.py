@@ -75,6 +75,7 @@ def kind_of(field):
             raise argparse.ArgumentTypeError(f"{text} is too small")
         return kind(text)
 
+    value.__name__ = kind.__name__  # what argparse calls a value that it cannot read
     if several and kind is float:  # a range
         return dict(type=value, nargs=2, metavar=("LOW", "HIGH"))
     metavar = {int: "N", float: "X", str: "TEXT"}[kind]
