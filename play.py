@@ -104,7 +104,7 @@ def caption(log, command):
     """One line that says what the robot is asked to do and what it does; log: of one robot."""
     x, y, yaw = command
     asked = f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s"
-    return f"{asked}   v_x {np.mean(log['v_x']):.1f} m/s   {np.mean(log['power']):.0f} W"
+    return f"{asked}   v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
 
 
 # ---- the policy at work ----

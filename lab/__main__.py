@@ -1,6 +1,6 @@
 """`python -m lab NAME ...`: figures and tables of trained robots. NAME is one of
 
-    a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff lambdas, as PNG and CSV in --out
+    a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1, as PNG and CSV in --out
     footfalls FOLDER   which foot of a policy.npz is on the ground when, a robot each --command
     table     RUN...   a line for each kind of run
     claims             the paper's claims of runs in --results, each with a verdict by rule
@@ -22,7 +22,7 @@ if __name__ == "__main__":
 
 from lab import claims, figures, footfalls, record, sweep
 
-FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "lambdas"
+FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1"
 OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
 
 

@@ -1,4 +1,4 @@
-"""The paper's Figures 2 to 6 and Table I, and two pictures of all runs, from kept episodes.
+"""The paper's Figures 2 to 6 and Table I, from kept episodes.
 
 Each figure is a function of Runs that returns the rows of its CSV and the picture.
 """
@@ -19,8 +19,6 @@ TABLE1 = dict(zip(sweep.KINDS, PEAKS, strict=True))  # m/s, as printed in Table 
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D45)
 BOTTOM = dict(flat=1.2, rough=0.8)  # of the axis: runs that stand are far below the others
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
-# the number by which the runs of a task are judged
-SCORES = dict(flat="performance", rough="performance", velocity="peak", curriculum="performance")
 LABELS = dict(
     performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
 )
@@ -260,54 +258,4 @@ def table1(runs):
     axes.set(yticks=at, yticklabels=labels, xlabel="peak velocity [m/s]")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside upper center", ncols=3, fontsize=8)
-    return rows, figure
-
-
-# ---- all runs ----
-
-
-def scored(runs):
-    """A row for each run whose episodes were kept: what it is, its score, its power, its alpha."""
-    rows = []
-    for run in runs:
-        if run.episodes:
-            s = run.settings
-            numbers = record.scores(run)
-            row = dict(task=s["task"], run=run.name, kind=sweep.kind(s), algo=s["algo"])
-            row |= dict(lam=s["lam"], seed=s["seed"], score=numbers[SCORES[s["task"]]])
-            rows.append(row | dict(power=numbers["power"], alpha=run.metrics["alpha"][-1]))
-    return rows
-
-
-def tradeoff(runs):
-    """Score over power, a small dot for each seed and a large one for the mean of a kind."""
-    rows = scored(runs)
-    figure, panels = panels_by("task", rows)
-    for task, mine, column in panels:
-        (axes,) = column
-        dots(axes, mine, "power", "score")
-        axes.set(xlabel=LABELS["power"], ylabel=LABELS[SCORES[task]])
-        log_axis(axes, "x")
-        legend(column)
-    return rows, figure
-
-
-def lambdas(runs):
-    """Score, power and the last 1 / alpha over lambda: of PPO, and over lambda_0 of EIPO.
-
-    lambda = 0 is at the left end.
-    """
-    rows = [row | dict(at=max(row["lam"], 5e-5), end=1 / row["alpha"]) for row in scored(runs)]
-    figure, panels = panels_by("task", rows, 3)
-    for task, mine, column in panels:
-        score, power, end = column
-        dots(score, mine, "at", "score")
-        dots(power, mine, "at", "power")
-        dots(end, grouped(mine, "algo").get("eipo", []), "at", "end")
-        score.set(ylabel=LABELS[SCORES[task]], xscale="log")
-        power.set(ylabel=LABELS["power"])
-        log_axis(power, "y")
-        end.set(yscale="log", ylabel="EIPO's last 1 / alpha [1/W]", xlabel="lambda [1/W]")
-        end.axline((1e-4, 1e-4), (1e-2, 1e-2), color="black", linestyle=":", linewidth=0.8)
-        legend(column)
     return rows, figure

@@ -61,7 +61,7 @@ def test_runs_are_paired_by_seed():
     assert [[run.name for run in runs] for runs in sides] == [["l11", "l12"], ["r11", "r12"]]
     assert claims.numbers(sides[0], "performance").tolist() == [11, 12]
     assert claims.decide(*sides, "performance") == (None, "not tested")
-    assert claims.decide(*sides, "J/m") == (None, "no verdict, a run stands")
+    assert claims.decide(left, left, "J/m") == (None, "no verdict, a run stands")
     assert claims.paired({}, "a", "b") == ([], [])
 
 
@@ -142,7 +142,17 @@ def test_rows_of_the_claims():
     assert row(lines, 4)[5] == "x 0.50 [0.50, 0.50]" and row(lines, 4)[-1] == "holds"
     assert row(lines, 6)[-1] == "no verdict, a run stands"
     assert row(lines, 9)[-1] == "reversed"
-    assert row(lines, 13)[-1] == row(lines, 19, "PPO(0.0001)")[-1] == "not tested"
+    assert ": 19 against PPO(0.0001), PPO(0.0002), " in lines[-1] and ", 18, 21, " in lines[-1]
+
+
+def test_a_line_for_each_kind_of_run():
+    """Performances 0.01, 0.011 and 0.012 at a power of 100, 101 and 102.01 W; at 0.1 m/s and above
+    all move at 1 m/s. `made` ends with an alpha of 400.
+    """
+    head, _, line = claims.table(arm())
+    assert head.startswith("| flat | seeds | performance: mean; each seed | fell |")
+    each = "0.011; 0.010, 0.011, 0.012"
+    assert line == f"| EIPO | 3 | {each} | 0.0 % | 0.0 % | 101 W | 101 J/m | 400, 400, 400 |"
 
 
 def test_a_claim_about_every_command():
@@ -213,7 +223,9 @@ def test_the_pages_have_what_the_commands_print():
     if not any(arms.values()):
         pytest.skip("results/ has no run that counts")
     pages = "".join(page.read_text() for page in (ROOT / "results").rglob("*.md"))
-    for line in [*claims.claim_lines(arms), *claims.promise_lines(arms)]:
+    shown = *claims.TASKS, "velocity/binding1000-*", "curriculum", "curriculum/printed-*"
+    tables = claims.table(record.runs([ROOT / "results" / runs for runs in shown]))
+    for line in [*claims.claim_lines(arms), *claims.promise_lines(arms), *tables]:
         assert line in pages, line
 
 
