@@ -267,6 +267,8 @@ def promise_lines(arms):
             no_worse[left] = words["performance"]
             word = f"no worse: {no_worse[left]}"
         cells = [shown(x, name)[1] if x else why for name, (x, why) in tested.items()]
+        if watts := tested["power"][0]:
+            cells[1] += f", {shown(watts, 'power')[0]} W"
         if "peak" in claimed and task != "velocity":
             cells[-1] = ""  # nobody asks for a peak there
         rival = "its pi'" if right.startswith("pi'") else right
@@ -285,23 +287,26 @@ def promise_lines(arms):
 def promise(arms):
     """Rows of all runs, and a Figure: difference of performance over ratio of power, a dot a run.
 
-    EIPO is compared with the pi_prime of its run, and PPO with PPO(0). Dotted is the margin.
+    On the left EIPO is compared with the pi_prime of its run, on the right all with PPO(0). Dotted
+    is the margin.
     """
     rows = []
-    for task, left, right in rivals(arms):
-        if decides(left, right):
+    for task, left, right in sorted(rivals(arms), key=lambda x: (x[0], x[2] == "PPO(0)")):
+        if not left.startswith("pi'"):
+            rival = "the pi' of the run" if right.startswith("pi'") else right
             sides = paired(arms[task], left, right)
             performance, power = (
                 [numbers(runs, name) for runs in sides] for name in ("performance", "power")
             )
             columns = sides[0], np.subtract(*performance), np.divide(*power)
+            about = dict(task=task, kind=left, panel=f"{task}, against {rival}")
             for run, difference, ratio in zip(*columns, strict=True):
-                row = dict(task=task, run=run.name, kind=left, seed=run.settings["seed"])
+                row = about | dict(run=run.name, seed=run.settings["seed"])
                 rows.append(row | dict(performance_difference=difference, power_ratio=ratio))
-    figure, panels = figures.panels_by("task", rows)
-    for task, mine, column in panels:
+    figure, panels = figures.panels_by("panel", rows)
+    for panel, mine, column in panels:
         (axes,) = column
-        if task != "velocity":
+        if not panel.startswith("velocity"):
             axes.set_yscale("symlog", linthresh=0.05)  # runs that stand are far below the others
             axes.set_yticks(TICKS, [f"{x:+g}" if x else "0" for x in TICKS])
             axes.axhline(-MARGINS["performance"], color="black", linestyle=":")

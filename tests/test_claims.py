@@ -247,18 +247,20 @@ def test_the_promise_by_hand():
     lines = list(claims.promise_lines(promised()))
     (own,) = [line for line in lines if "| pi of EIPO against its pi' |" in line]
     cells = [cell.strip() for cell in own.split("|")[1:-1]]
-    assert cells[2:5] == ["3", "-0.0100 [-0.0100, -0.0100]", "x 0.20 [0.20, 0.20]"]
+    power = "x 0.20 [0.20, 0.20], 101 and 505 W"
+    assert cells[2:5] == ["3", "-0.0100 [-0.0100, -0.0100]", power]
     assert cells[-3:] == ["0.0 and 0.0", "0.0 and 0.0", "holds"]
     assert 'for": carried.\n' in lines
     assert any(line.startswith("| flat | PPO(0.01) against PPO(0) | 3 | -0.5") for line in lines)
     assert "| EIPO from 0.01 / PPO(0.002) | x 1.25 [1.25, 1.25] |" in lines
     rows, figure = claims.promise(promised())
     dot = next(row for row in rows if row["kind"] == "EIPO" and row["seed"] == 12)
+    assert dot["panel"] == "flat, against the pi' of the run"
     assert dot["performance_difference"] == pytest.approx(-0.01)
     assert dot["power_ratio"] == pytest.approx(0.2)
-    assert len(rows) == 3 * 7  # four kinds of EIPO and three of PPO
-    drawn = [len(dots.get_offsets()) for dots in figure.axes[0].collections]
-    assert drawn == 7 * [3, 1]
+    assert len(rows) == 3 * (4 + 7)  # four kinds of EIPO, on the right with three of PPO
+    drawn = [[len(dots.get_offsets()) for dots in axes.collections] for axes in figure.axes]
+    assert drawn == [4 * [3, 1], 7 * [3, 1]]
 
 
 @pytest.mark.parametrize(
