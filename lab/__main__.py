@@ -20,7 +20,7 @@ from pathlib import Path
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-from lab import claims, figures, footfalls, record, sweep
+from lab import claims, figures, footfalls, promise, record, sweep
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1"
 OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
@@ -63,8 +63,8 @@ def run(args):
         figure = footfalls.footfalls(args.what[0], args.command)
     elif args.name == "promise":
         arms = claims.counted(args.results)
-        rows, figure = claims.promise(arms)
-        lines = claims.promise_lines(arms)
+        rows, figure = promise.promise(arms)
+        lines = promise.promise_lines(arms)
     else:
         rows, figure = getattr(figures, args.name)(record.runs(args.what))
         lines = figures.regions(rows) if args.name == "fig5" else ()

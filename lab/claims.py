@@ -1,9 +1,7 @@
-"""The paper's claims and the promise of Eq. (3), by the rules of results/rules.md.
+"""The paper's claims, by the rules of results/rules.md.
 
-A claim compares two kinds of runs by one number of each seed, from kept episodes. The promise
-compares pi with the pi' of its own run, and what says whether pi' was needed stands beside it: pi'
-against PPO(0), and PPO(lambda) against PPO(0). Runs count whose seed is one of the rules, and those
-of a task must be of one commit.
+A claim compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
+seed is one of the rules, and those of a task must be of one commit.
 """
 
 import numpy as np
@@ -18,10 +16,6 @@ MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.l
 RATIOS = "power", "J/m"
 PPO = sweep.KINDS[1:]
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
-TICKS = -0.5, -0.2, -0.1, -0.05, -0.03, 0, 0.03, 0.05  # of the figure of the promise
-# of the sentence about the promise
-LAMBDA_0 = "EIPO", "EIPO from 0.0001", "EIPO from 0.01", "EIPO from 0.02"
-SEARCHED = "PPO(0.002)", "PPO(0.005)", "PPO(0.01)"
 # the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
     (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
@@ -189,131 +183,3 @@ def table(runs):
             cells += [f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"]
             alphas = [run.metrics["alpha"][-1] for run in seeds if run.settings["algo"] == "eipo"]
             yield f"| {' | '.join(cells)} | {', '.join(f'{x:.0f}' for x in alphas)} |"
-
-
-# ---- the promise of Eq. (3) ----
-
-
-def rivals(arms):
-    """Yields (task, left, right), two kinds of runs, for every comparison of the promise.
-
-    Whether a kind lands is a matter of the first one: EIPO against its own pi', PPO against PPO(0).
-    """
-    for task, kinds in arms.items():
-        for kind in sorted(kinds.keys() - {"PPO(0)"}):
-            if kind.startswith("EIPO"):
-                prime = f"pi' of {kind}"
-                yield from ((task, kind, prime), (task, prime, "PPO(0)"), (task, kind, "PPO(0)"))
-            elif kind.startswith("PPO"):
-                yield task, kind, "PPO(0)"
-
-
-def decides(left, right):
-    """Whether a comparison decides if the left side lands."""
-    return left.startswith("PPO") or right.startswith("pi'")
-
-
-def lands(no_worse, less):
-    """Whether an arm lands, by the verdicts that its performance is no worse and its power less."""
-    words = no_worse, less.split(",")[0]
-    if "reversed" in words:
-        return "fails"
-    if "not tested" in words:
-        return "not tested"
-    return "holds" if words == ("holds", "holds") else "undecided"
-
-
-def falls(runs):
-    """The shares of falls of runs from random and from nominal starts, as text in percent."""
-    rows = [record.scores(run) for run in runs]
-    shares = ([row[name] for row in rows] for name in ("fell", "fell_nominal"))
-    return " and ".join(f"{100 * np.mean(x):.1f}" for x in shares if x)
-
-
-def sentence(landed, no_worse):
-    """What becomes of "whatever lambda_0, EIPO lands where PPO lands only with a lambda that was
-    searched for": carried, refuted, or undecided by which arms.
-
-    landed: {kind: whether it lands}; no_worse: {kind: the verdict that EIPO is no worse than
-    PPO(0)}
-    """
-    ppo = {landed.get(kind) for kind in SEARCHED}
-    words = {kind: landed.get(kind) for kind in LAMBDA_0}
-    words |= {f"{kind} against PPO(0)": no_worse.get(kind) for kind in LAMBDA_0}
-    if {"fails", "reversed"} & {*words.values()} or ppo == {"holds"}:
-        return "refuted"
-    undecided = [what for what, word in words.items() if word != "holds"]
-    undecided += [f"PPO, of which none {word}" for word in ("holds", "fails") if word not in ppo]
-    return f"undecided, by {', '.join(undecided)}" if undecided else "carried"
-
-
-def promise_lines(arms):
-    """Yields a line of Markdown for each comparison, then the sentence and what it hides."""
-    claimed = {"performance": "no worse", "power": "<", "J/m": "<"}
-    claimed |= {"peak": "no worse"} if arms["velocity"] else {}
-    yield f"| task | what | seeds | {' | '.join(claimed)} | fell [%] | rival fell | verdict |"
-    yield "|---" * (6 + len(claimed)) + "|"
-    landed, no_worse = {}, {}
-    for task, left, right in rivals(arms):
-        sides = paired(arms[task], left, right)
-        tested = {name: decide(*sides, name, than) for name, than in claimed.items()}
-        words = {name: word for name, (_, word) in tested.items()}
-        word = ""
-        if decides(left, right) and task != "velocity":
-            word = lands(words["performance"], words["power"])
-        if task == "flat" and decides(left, right):
-            landed[left] = word
-        elif task == "flat" and left.startswith("EIPO"):
-            no_worse[left] = words["performance"]
-            word = f"no worse: {no_worse[left]}"
-        cells = [shown(x, name)[1] if x else why for name, (x, why) in tested.items()]
-        if watts := tested["power"][0]:
-            cells[1] += f", {shown(watts, 'power')[0]} W"
-        if "peak" in claimed and task != "velocity":
-            cells[-1] = ""  # nobody asks for a peak there
-        rival = "its pi'" if right.startswith("pi'") else right
-        what = f"{'pi of ' * left.startswith('EIPO')}{left} against {rival}"
-        cells = [task, what, str(len(sides[0])), *cells, *map(falls, sides), word]
-        yield f"| {' | '.join(cells)} |"
-    yield '\n"Whatever lambda_0, EIPO lands where PPO lands only with a lambda that was searched'
-    yield f'for": {sentence(landed, no_worse)}.\n'
-    yield "| power on flat ground | ratio |\n|---|---|"
-    for rival in ("PPO(0.002)", "EIPO"):
-        for kind in (kind for kind in LAMBDA_0 if kind != rival):
-            compared, why = decide(*paired(arms["flat"], kind, rival), "power")
-            yield f"| {kind} / {rival} | {shown(compared, 'power')[1] if compared else why} |"
-
-
-def promise(arms):
-    """Rows of all runs, and a Figure: difference of performance over ratio of power, a dot a run.
-
-    On the left EIPO is compared with the pi_prime of its run, on the right all with PPO(0). Dotted
-    is the margin.
-    """
-    rows = []
-    for task, left, right in sorted(rivals(arms), key=lambda x: (x[0], x[2] == "PPO(0)")):
-        if not left.startswith("pi'"):
-            rival = "the pi' of the run" if right.startswith("pi'") else right
-            sides = paired(arms[task], left, right)
-            performance, power = (
-                [numbers(runs, name) for runs in sides] for name in ("performance", "power")
-            )
-            columns = sides[0], np.subtract(*performance), np.divide(*power)
-            about = dict(task=task, kind=left, panel=f"{task}, against {rival}")
-            for run, difference, ratio in zip(*columns, strict=True):
-                row = about | dict(run=run.name, seed=run.settings["seed"])
-                rows.append(row | dict(performance_difference=difference, power_ratio=ratio))
-    figure, panels = figures.panels_by("panel", rows)
-    for panel, mine, column in panels:
-        (axes,) = column
-        if not panel.startswith("velocity"):
-            axes.set_yscale("symlog", linthresh=0.05)  # runs that stand are far below the others
-            axes.set_yticks(TICKS, [f"{x:+g}" if x else "0" for x in TICKS])
-            axes.axhline(-MARGINS["performance"], color="black", linestyle=":")
-        figures.dots(axes, mine, "power_ratio", "performance_difference")
-        axes.axhline(0, color="black", linewidth=0.8)
-        axes.axvline(1, color="black", linewidth=0.8)
-        axes.set(xlabel="ratio of power", ylabel="difference of task performance")
-        figures.log_axis(axes, "x")
-        figures.legend(column)
-    return rows, figure

@@ -86,17 +86,6 @@ def panels_by(column, rows, num_panels=1):
     return figure, list(zip(groups, groups.values(), panels, strict=True))
 
 
-def dots(axes, rows, x, y):
-    """A small dot for each row, and a large one for the mean of each kind of run."""
-    for kind, mine in grouped(rows, "kind").items():
-        at = np.array([(row[x], row[y]) for row in mine])
-        style = sweep.style(kind)
-        axes.scatter(*at.T, 12, alpha=0.6, linewidths=0, **style)
-        style |= dict(edgecolors="white", linewidths=0.5, label=f"{kind}, n = {len(mine)}")
-        axes.scatter(*at.mean(0), 50, **style)
-    axes.grid(alpha=0.3)
-
-
 def legend(column):
     """Name the kinds of runs of the first panel below the last one."""
     style = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
