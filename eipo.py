@@ -43,8 +43,6 @@ class Config(PPOConfig):
     lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha; larger on two tasks (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
-    dampening_alpha: float = 0.0  # [ours] gradients count 1 less this; 0.99: momentum is a mean
-    alpha0: float | None = None  # [ours] alpha at the start; without it, 1 / lam (D6)
     mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs (D28)
 
     @property
@@ -177,9 +175,7 @@ def init_state(env, env_prime, cfg):
     if env_prime is not None:
         pi_prime = init_learner(rng_prime, env_prime, 1, cfg.mirror, cfg.ppo)
         env_prime.reset(2 * cfg.seed + 1)
-    alpha = cfg.alpha0
-    if alpha is None:
-        alpha = 1 / cfg.lam if cfg.lam else np.inf
+    alpha = 1 / cfg.lam if cfg.lam else np.inf
     return State(0, jax.random.PRNGKey(cfg.seed), pi, pi_prime, Dual(alpha, 0.0))
 
 
@@ -296,6 +292,6 @@ def step_alpha(dual, gap, cfg):
     if not np.isfinite(gap):
         return dual
     gradient = float(np.clip(-gap, -cfg.clip_alpha, cfg.clip_alpha))
-    momentum = cfg.momentum_alpha * dual.momentum + (1 - cfg.dampening_alpha) * gradient
+    momentum = cfg.momentum_alpha * dual.momentum + gradient
     alpha = dual.alpha + cfg.lr_alpha * momentum
     return Dual(alpha, momentum) if alpha > 0 else Dual(0.0, 0.0)

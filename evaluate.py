@@ -1,9 +1,9 @@
 """Trained policies, measured as in Sections IV-D and V: `python evaluate.py RUN...` plays episodes
 of 20 s without exploration noise, and prints a line for each run folder.
 
-Each episode keeps one command. It starts from a random pose as in training, or from the nominal
-one. Noise, friction and payload are drawn as in training, but the ground is new. Every policy
-starts from the same draws. The paper's figures are drawn by `python -m lab`.
+Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
+drawn, as in training, but the ground is new. Every policy starts from the same draws. The paper's
+figures are drawn by `python -m lab`.
 """
 
 import argparse
@@ -24,9 +24,8 @@ from runtime import deploy
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
-PEAK_STEPS = 10  # control steps, 0.2 s, over which the second peak velocity is averaged
 COMMANDS = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
-ROUGHNESS = {"rough": 0.15}  # m, of the ground where it is not that of training [V-B]
+ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
 
 class Episodes(NamedTuple):
@@ -35,10 +34,8 @@ class Episodes(NamedTuple):
     performance: np.ndarray  # [-] sum of the task reward / 1000; after a fall it counts as 0 [V-A]
     fell: np.ndarray  # bool, whether the episode ended before the time limit
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
-    v_x_late: np.ndarray  # [m/s] the same in the second half; NaN if the episode ended before it
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
     peak: np.ndarray  # [m/s] largest speed ahead
-    peak_sustained: np.ndarray  # [m/s] largest mean speed ahead of 0.2 s
     pitch: np.ndarray  # [degrees] mean pitch of the trunk, positive with the nose up
     roll: np.ndarray  # [degrees] mean roll of the trunk, positive with the right side down
 
@@ -68,10 +65,8 @@ def deterministic(pi):
     return lambda obs: np.asarray(mean_action(*layers, obs))
 
 
-def evaluation_config(env_cfg, clip=None, roughness=None, nominal=False):
+def evaluation_config(env_cfg, clip=None, nominal=False):
     """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
-    if roughness is None:
-        roughness = ROUGHNESS.get(env_cfg.task)
     return replace(
         env_cfg,
         reward="paper",
@@ -82,20 +77,19 @@ def evaluation_config(env_cfg, clip=None, roughness=None, nominal=False):
         start_spread=0.0 if nominal else env_cfg.start_spread,
         clip=clip or env_cfg.clip,
         ground_seed=SEED,
-        roughness=env_cfg.roughness if roughness is None else (roughness, roughness),
+        roughness=ROUGHNESS.get(env_cfg.task, env_cfg.roughness),
     )
 
 
-def load(folder, num_episodes, clip=None, roughness=None, nominal=False, prime=False):
+def load(folder, num_episodes, clip=None, nominal=False, prime=False):
     """The `deterministic` policy of a run folder and an environment with a robot for each episode.
 
-    clip:      of Eq. (9); None: as in training
-    roughness: [m] of the ground; None: as in ROUGHNESS or in training
-    nominal:   start from the nominal pose at rest, not from random poses as in training
-    prime:     take pi', the rival in a run of EIPO
+    clip:    of Eq. (9); None: as in training
+    nominal: start from the nominal pose at rest, not from random poses as in training
+    prime:   take pi', the rival in a run of EIPO
     """
     pi, env_cfg = deploy.load(Path(folder) / ("policy_prime.npz" if prime else "policy.npz"))
-    env_cfg = evaluation_config(env_cfg, clip, roughness, nominal)
+    env_cfg = evaluation_config(env_cfg, clip, nominal)
     return deterministic(pi), go1_env.Go1Env(num_episodes, env_cfg)
 
 
@@ -123,19 +117,13 @@ def run_episodes(policy, env, command=None):
     ]
     *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
     reward, v_x, power, pitch, roll = (np.where(alive, x, 0.0) for x in series)
-    steps, half = len(alive), len(alive) // 2
     length = alive.sum(0)
-    with np.errstate(invalid="ignore"):  # 0 / 0 where the episode ended before the second half
-        v_x_late = v_x[half:].sum(0) / alive[half:].sum(0)
-    sustained = np.lib.stride_tricks.sliding_window_view(v_x, PEAK_STEPS, 0).mean(-1)
     return Episodes(
-        performance=reward.sum(0) / steps,
+        performance=reward.sum(0) / len(alive),
         fell=falls.any(0),
         v_x=v_x.sum(0) / length,
-        v_x_late=v_x_late,
         power=power.sum(0) / length,
         peak=np.where(alive, v_x, -np.inf).max(0),
-        peak_sustained=np.where(alive[PEAK_STEPS - 1 :], sustained, -np.inf).max(0),
         pitch=pitch.sum(0) / length,
         roll=roll.sum(0) / length,
     )
@@ -174,7 +162,7 @@ def interval(x, statistic=np.mean, **options):
 
 def evaluate(folder, args):
     """Play episodes of a run, and return what `main` prints of it: numbers, by name and unit."""
-    policy, env = load(folder, args.episodes, args.clip, args.roughness, prime=args.prime)
+    policy, env = load(folder, args.episodes, args.clip, prime=args.prime)
     commands = commands_of(env.env_cfg.task)
     asked = np.resize(commands, (args.episodes, 3))  # in turn
     played = run_episodes(policy, env, asked)
@@ -199,13 +187,13 @@ def evaluate(folder, args):
 
 def main(argv):
     """Evaluate and print; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="evaluate.py", description=__doc__.split("\n\n")[0])
+    about = dict(description=__doc__.split("\n\n")[0], allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="evaluate.py", **about)
     parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
     add = parser.add_argument
     add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
     add("--episodes", type=int, default=1000, help="per run (default: 1000)")
     add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
-    add("--roughness", type=float, help="m (default: of training; rough: 0.15)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
     if args.episodes < 1:

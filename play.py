@@ -19,7 +19,7 @@ from itertools import islice
 from pathlib import Path
 
 DISPLAY = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-if sys.platform == "linux" and ("--gif" in sys.argv or not DISPLAY):
+if sys.platform == "linux" and ("--gif" in " ".join(sys.argv) or not DISPLAY):
     # MuJoCo decides on import how it will draw
     found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
     os.environ.setdefault("MUJOCO_GL", found[0] if found else "off")
@@ -39,20 +39,15 @@ from runtime import deploy, run_folder
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
 SIZE = (480, 270)  # pixels of a GIF, for each run
-NEWTON = 0.004  # m per newton of the arrows for contact forces
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 LEGS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)
 
 
-def make_env(env_cfg, roughness=None):
-    """One robot on one tile, without a time limit, which starts from the nominal pose.
-
-    roughness: [m], or None for the greatest of the run
-    """
-    level = env_cfg.roughness[1] if roughness is None else roughness
-    changes = dict(roughness=(level, level), tiles=1, episode_steps=10**9, stagger=False)
-    return go1_env.Go1Env(1, replace(env_cfg, **changes, start_spread=0.0))
+def make_env(env_cfg):
+    """One robot on one tile, without a time limit, which starts from the nominal pose."""
+    changes = dict(tiles=1, episode_steps=10**9, stagger=False, start_spread=0.0)
+    return go1_env.Go1Env(1, replace(env_cfg, **changes))
 
 
 # ---- one robot as MuJoCo draws it ----
@@ -65,7 +60,6 @@ def make_scene(env):
         margin = round(terrain.APRON / terrain.SPACING)
         ground = np.tile(ground[margin:-margin, margin:-margin], (AROUND, AROUND))
     model = go1.build_model(env.env_cfg.timestep, ground)
-    model.vis.map.force = NEWTON
     for geom in range(model.ngeom):
         leg = model.body(model.geom_bodyid[geom]).name[:2]
         if model.geom_group[geom] == 2 and leg in LEGS:
@@ -75,19 +69,10 @@ def make_scene(env):
 
 
 def show(env, model, data):
-    """Put the drawn robot where the simulated one is, on the middle tile, with its torques."""
-    state = env.state
-    model.body_mass[:] = state.mass[0]
-    model.body_ipos[:] = state.com[0]
-    model.geom_friction[:] = state.friction[0]
-    # of the trunk and its legs: the camera looks at their centre
-    model.body_subtreemass[1] = state.mass[0].sum()
-    model.opt.gravity[:] = state.gravity[0]
+    """Put the drawn robot where the simulated one is, on the middle tile."""
     data.qpos[:] = env.qpos[0]
-    data.qvel[:] = env.qvel[0]
-    data.ctrl[:] = env.ctrl[0]
     if env.ground is not None:
-        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(state.tile[0])
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
     mujoco.mj_forward(model, data)
 
 
@@ -134,7 +119,7 @@ def paced(steps, period):
         start = time.monotonic()
 
 
-def watch(env, steps, command, slow=1.0, forces=False):
+def watch(env, steps, command, slow=1.0):
     """Show steps (an iterator of `play`) in the viewer, `slow` times slower, until it is closed."""
 
     def on_key(key):
@@ -147,7 +132,6 @@ def watch(env, steps, command, slow=1.0, forces=False):
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
     ) as viewer:
         point(viewer.cam, env, model)
-        viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
         for log in paced(steps, slow * env.period):
             if not viewer.is_running():
                 break
@@ -218,21 +202,20 @@ def serve(env, steps, command, port=0, slow=1.0):
 # ---- a moving picture ----
 
 
-def draw(env, steps, seconds, forces=False):
+def draw(env, steps, seconds):
     """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs.
 
     The first second is not drawn.
     """
     model, data = make_scene(env)
-    camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
-    options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
+    camera = mujoco.MjvCamera()
     next(islice(steps, round(1 / env.period) - 1, None))
     point(camera, env, model)
     pictures, logs = [], []
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
         for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)
-            renderer.update_scene(data, camera, options)
+            renderer.update_scene(data, camera)
             # on a height field the ground's own shadows would be specks
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = env.ground is None
             pictures.append(renderer.render())
@@ -262,7 +245,8 @@ def save_gif(path, pictures, captions, milliseconds):
 
 def parse(argv):
     """The arguments of the command line."""
-    parser = argparse.ArgumentParser(prog="play.py", description=__doc__.splitlines()[0])
+    about = dict(description=__doc__.splitlines()[0], allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="play.py", **about)
     parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
     add = parser.add_argument
     add("runs", nargs="+", metavar="RUN", help="run folder with a policy.npz; several for a GIF")
@@ -273,9 +257,7 @@ def parse(argv):
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
     asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
-    add("--roughness", type=float, help="m, of the ground (default: the greatest of the run)")
     add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
-    add("--forces", action="store_true", help="draw the forces of the ground on the robot")
     add("--follow", action="store_true", help="load every new policy while training runs")
     args = parser.parse_args(argv)
     if len(args.runs) > 1 and not args.gif:
@@ -287,7 +269,7 @@ def begin(run, args):
     """The environment of a run, the iterator of `play` over it, and its command."""
     path = Path(run) / "policy.npz"
     pi, env_cfg = deploy.load(path)
-    env = make_env(env_cfg, args.roughness)
+    env = make_env(env_cfg)
     command = np.array(args.command or deploy.example(env_cfg.task), float)
     return env, play(env, pi, command, args.seed, path if args.follow else None), command
 
@@ -299,7 +281,7 @@ def film(args, slow):
     robots, captions = [], []
     for run in args.runs:
         env, steps, command = begin(run, args)
-        pictures, logs = draw(env, steps, args.seconds, args.forces)
+        pictures, logs = draw(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
         captions.append(f"{Path(run).name}, {slow:g} times slower\n{caption(mean, command)}")
         robots.append(pictures)
@@ -317,7 +299,7 @@ def main(argv):
         if args.web:
             serve(*seen, args.port, args.slow or 1.0)
         else:
-            watch(*seen, args.slow or 1.0, args.forces)
+            watch(*seen, args.slow or 1.0)
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError, RuntimeError, OverflowError, mujoco.FatalError) as error:

@@ -50,7 +50,7 @@ class Policy:
     kp: float  # [N m / rad] of the joints' PD controllers
     kd: float  # [N m s / rad]
     config: dict  # of the world in which it was trained: tasks.Config, as JSON has it
-    trace: dict = field(default_factory=dict)  # the table above, (50, width) float32
+    trace: dict = field(default_factory=dict)  # the columns above, (50, ...) float32
 
     def __post_init__(self):
         self.start()

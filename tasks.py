@@ -208,14 +208,8 @@ class Config:
 
 
 def task_config(task="flat", **changes):
-    """The Config of a task, with changes. Raises ValueError for an unknown task."""
-    if task not in TASKS:
-        raise ValueError(f"unknown task {task!r}: choose one of {', '.join(TASKS)}")
+    """The Config of a task, with changes."""
     return Config(**dict(task=task) | TASKS[task].world | changes)
-
-
-# fields of Config as older files name them
-RENAMED = dict(frame="velocity_frame")
 
 
 def tuples(record):
@@ -225,4 +219,4 @@ def tuples(record):
 
 def read_config(record):
     """The Config of a dict that comes from JSON. TypeError for fields that there are not."""
-    return Config(**{RENAMED.get(name, name): x for name, x in tuples(record).items()})
+    return Config(**tuples(record))

@@ -32,8 +32,6 @@ from runtime import deploy, metrics, parallel, run_folder
 from runtime.flags import Options, check, parse, settle
 from runtime.interrupt import StopRequest
 
-GIVE_UP = 10  # [ours] iterations without one finite gradient, after which training ends
-
 
 def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
@@ -80,16 +78,6 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def check_finite(state, cfg):
-    """Raise ValueError if alpha is not finite, or if no gradient was for GIVE_UP iterations."""
-    if state.pi_prime and not np.isfinite(state.dual).all():
-        raise ValueError(f"alpha and its momentum are {tuple(state.dual)}")
-    limit = GIVE_UP * cfg.num_epochs * cfg.num_minibatches
-    for name, learner in (("pi", state.pi), ("pi_prime", state.pi_prime)):
-        if learner and learner.opt_state.notfinite_count >= limit:
-            raise ValueError(f"no gradient of {name} was finite in {GIVE_UP} iterations")
-
-
 def save(folder, state, envs, cfg, is_last):
     """Write checkpoint, policy and pictures into the run folder; at the end pi_prime's policy."""
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
@@ -102,8 +90,6 @@ def save(folder, state, envs, cfg, is_last):
         learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
         deploy.write(folder / f"{name}.npz", learner, envs[0].env_cfg, is_last)
     metrics.draw_curves(folder)
-    if isinstance(envs[0].commands, tasks.Grid):
-        metrics.draw_commands(folder, envs[0].commands.weights)
 
 
 def check_same_flags(*given):
@@ -144,7 +130,6 @@ def train(folder, env_cfg, cfg, options, command):
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
-        check_finite(state, cfg)
         stop = stop or StopRequest()
         stopped = sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs

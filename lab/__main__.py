@@ -5,8 +5,7 @@
     table     RUN...   a line for each kind of run
     claims             the paper's claims of runs in --results, each with a verdict by rule
     promise            pi beside the pi' of its own run, as a table, PNG and CSV
-    sweep     FIGURE     the train.py commands of a figure's runs, one for each of --seeds
-    add       FOLDER...  play the policies of run folders and put them into the tables of --results
+    add       FOLDER   play the policies of run folders, for the tables of --results
 
 RUN is results/TASK for all runs there that train.py named, or 'results/TASK/NAME', in which NAME
 may have * ? and [...]. Other runs are first put into tables of their own, by add.
@@ -20,10 +19,10 @@ from pathlib import Path
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-from lab import claims, figures, footfalls, promise, record, sweep
+from lab import claims, figures, footfalls, promise, record
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1"
-OTHERS = "footfalls", "table", "claims", "promise", "sweep", "add"
+OTHERS = "footfalls", "table", "claims", "promise", "add"
 
 
 def parse(argv):
@@ -35,12 +34,11 @@ def parse(argv):
     parser.error = lambda message: parser.exit(2, f"lab: {message} (-h lists every flag)\n")
     add = parser.add_argument
     add("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
-    add("what", nargs="*", help="runs, folders or a figure, as NAME takes them")
+    add("what", nargs="*", help="runs or folders, as NAME takes them")
     add("--out", type=Path, default=Path(), help="folder for PNG and CSV")
     add("--results", type=Path, default=record.RESULTS, help="folder of the tables")
     add("--episodes", type=int, help="to play, per policy and kind of start")
     add("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s of v_x")
-    add("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of sweep")
     args = parser.parse_args(argv)
     if not args.what and args.name not in ("claims", "promise"):
         parser.error(f"{args.name} takes at least one argument")
@@ -52,8 +50,6 @@ def run(args):
     if args.name == "add":
         record.add(args.what, args.results, args.episodes)
         return ()
-    if args.name == "sweep":
-        return sweep.commands(args.what[0], args.seeds)
     if args.name == "table":
         return claims.table(record.runs(args.what))
     if args.name == "claims":

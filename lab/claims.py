@@ -6,7 +6,8 @@ seed is one of the rules, and those of a task must be of one commit.
 
 import numpy as np
 
-from lab import figures, record, sweep
+from lab import figures, record
+from lab.kinds import KINDS, by_kind
 from lab.statistics import NUMBERS, compare, verdict
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
@@ -14,7 +15,7 @@ TASKS = "flat", "rough", "velocity"
 # A margin is of a difference, or of the logarithm of a ratio.
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
-PPO = sweep.KINDS[1:]
+PPO = KINDS[1:]
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
 # the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
@@ -60,7 +61,7 @@ def counted(results=record.RESULTS):
         runs = [run for run in runs if run.episodes and run.settings["seed"] in SEEDS]
         if len(commits := {run.row["commit"] for run in runs}) > 1:
             raise ValueError(f"no comparison mixes commits: {', '.join(sorted(commits))}")
-        kinds = sweep.by_kind(runs, task) if runs else {}
+        kinds = by_kind(runs, task) if runs else {}
         arms[task] = kinds | {
             f"pi' of {kind}": [run._replace(episodes=run.prime) for run in arm if run.prime]
             for kind, arm in kinds.items()
@@ -173,7 +174,7 @@ def table(runs):
         names = "seeds", f"{score}: mean; each seed", "fell", "from nominal"
         yield f"| {' | '.join((task, *names, 'power', 'energy', 'last alpha'))} |"
         yield "|---" * 8 + "|"
-        for kind, seeds in sweep.by_kind(runs, task).items():
+        for kind, seeds in by_kind(runs, task).items():
             rows = [record.scores(run) for run in seeds]
             mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
             each = ", ".join(f"{row[score]:.3f}" for row in rows)

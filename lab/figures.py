@@ -11,14 +11,14 @@ from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
 import evaluate
-from lab import record, statistics, sweep
+from lab import record, statistics
+from lab.kinds import KINDS, by_kind, style
 from runtime import run_folder
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
-TABLE1 = dict(zip(sweep.KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
+TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D45)
 BOTTOM = dict(flat=1.2, rough=0.8)  # of the axis: runs that stand are far below the others
-ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 LABELS = dict(
     performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
 )
@@ -46,10 +46,10 @@ def by_command(runs, task, commands, columns, statistic=np.mean):
     Episodes from random starts, with its intervals. "energy" is energy per metre.
     """
     rows = []
-    for name, seeds in sweep.by_kind([run for run in runs if run.episodes], task).items():
+    for name, seeds in by_kind([run for run in runs if run.episodes], task).items():
         for command in commands:
             each = [
-                record.where(np.isclose([e[x] for x in ASKED], command[:, None]).all(0), e)
+                record.where(np.isclose([e[x] for x in record.ASKED], command[:, None]).all(0), e)
                 for e in map(record.evaluation, seeds)
             ]
             n = min(len(e["fell"]) for e in each)  # so that every seed counts as much
@@ -64,20 +64,12 @@ def by_command(runs, task, commands, columns, statistic=np.mean):
     return rows
 
 
-def grouped(rows, column):
-    """Rows by what they have in a column: {"EIPO": [row, ...], ...}."""
-    groups = {}
-    for row in rows:
-        groups.setdefault(row[column], []).append(row)
-    return groups
-
-
 def panels_by(column, rows, num_panels=1):
     """A Figure with panels one above the other for each group of rows.
 
     Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
     """
-    if not (groups := grouped(rows, column)):
+    if not (groups := record.grouped(rows, column)):
         raise ValueError("none of the runs has what is to be drawn")
     figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
     panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
@@ -88,8 +80,8 @@ def panels_by(column, rows, num_panels=1):
 
 def legend(column):
     """Name the kinds of runs of the first panel below the last one."""
-    style = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
-    column[-1].legend(*column[0].get_legend_handles_labels(), **style)
+    place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
+    column[-1].legend(*column[0].get_legend_handles_labels(), **place)
 
 
 def log_axis(axes, which):
@@ -108,15 +100,15 @@ def draw_lines(axes, rows, column):
     """Draw each kind of run over the command v_x: its mean, its interval over episodes and,
     lighter, over seeds.
     """
-    for name, mine in grouped(rows, "run").items():
+    for name, mine in record.grouped(rows, "run").items():
         ends = "", "_low", "_high", "_seeds_low", "_seeds_high"
         at, mean, *bands = (
             [row[x] for row in mine] for x in ("v_x_asked", *(column + x for x in ends))
         )
-        style = sweep.style(name)
-        axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **style)
-        axes.fill_between(at, *bands[:2], color=style["color"], alpha=0.2, linewidth=0)
-        axes.fill_between(at, *bands[2:], color=style["color"], alpha=0.1, linewidth=0)
+        look = style(name)
+        axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **look)
+        axes.fill_between(at, *bands[:2], color=look["color"], alpha=0.2, linewidth=0)
+        axes.fill_between(at, *bands[2:], color=look["color"], alpha=0.1, linewidth=0)
     axes.grid(alpha=0.3)
 
 
@@ -182,7 +174,7 @@ REGIONS = {
 def regions(rows):
     """Yields Figure 5 by region, as lines of Markdown: task performance, power, early ends."""
     names = "v_x_asked", "yaw_asked", "performance", "power", "fell"
-    kinds = grouped(rows, "run")
+    kinds = record.grouped(rows, "run")
     table = [[[float(row[x]) for x in names] for row in mine] for mine in kinds.values()]
     (v_x, *_), (yaw, *_), *numbers = np.moveaxis(table, -1, 0)  # (kinds, commands) each
     yield f"| commands | how many | {' | '.join(kinds)} |\n{'|---' * (len(kinds) + 2)}|"
@@ -205,11 +197,11 @@ def fig6(runs):
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
-    for name, seeds in sweep.by_kind([run for run in runs if run.speed], "velocity").items():
+    for name, seeds in by_kind([run for run in runs if run.speed], "velocity").items():
         time = seeds[0].speed["time"]
         speeds = {run.name: run.speed["v_x"] for run in seeds}
         speeds["mean"] = np.mean(list(speeds.values()), 0)
-        color = sweep.style(name)["color"]
+        color = style(name)["color"]
         for seed, v_x in speeds.items():
             axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
             about = dict(task="velocity", kind=name, run=seed)
@@ -229,7 +221,7 @@ def table1(runs):
 
     Interquartile means over the episodes of all seeds (D26).
     """
-    columns = "peak", "peak_sustained", "v_x", "v_x_late", "power", "energy"
+    columns = "peak", "v_x", "power", "energy"
     rows = by_command(runs, "velocity", np.zeros((1, 3)), columns, statistics.iqm)
     for row in rows:
         row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)

@@ -7,8 +7,9 @@ pi' against PPO(0), and PPO(lambda) against PPO(0). `arms` is what `claims.count
 import numpy as np
 from matplotlib.figure import Figure
 
-from lab import figures, record, sweep
+from lab import figures, record
 from lab.claims import MARGINS, decide, numbers, paired, shown
+from lab.kinds import style
 
 # of the sentence about the promise
 LAMBDA_0 = "EIPO", "EIPO from 0.0001", "EIPO from 0.01", "EIPO from 0.02"
@@ -31,7 +32,7 @@ def rivals(kinds):
             yield kind, "PPO(0)"
 
 
-def decides(left, right):
+def may_land(left, right):
     """Whether a comparison decides if the left side lands."""
     return left.startswith("PPO") or right.startswith("pi'")
 
@@ -92,13 +93,13 @@ def promise_lines(arms):
         for left, right in rivals(kinds):
             sides = paired(kinds, left, right)
             tested = {name: decide(*sides, name, than) for name, than in claimed.items()}
-            slower, power = tested["performance"][1], tested["power"][1]
-            word = lands(slower, power) if decides(left, right) else ""
+            performance, power = tested["performance"][1], tested["power"][1]
+            word = lands(performance, power) if may_land(left, right) else ""
             if task == "flat" and word:
                 landed[left] = word
             elif task == "flat" and left.startswith("EIPO"):
-                no_worse[left] = slower
-                word = f"no worse: {slower}"
+                no_worse[left] = performance
+                word = f"no worse: {performance}"
             word = "" if task == "velocity" else word  # alpha hardly moves there
             yield f"| {' | '.join(promise_row(left, right, sides, tested, word))} |"
     yield '\n"Whatever lambda_0, EIPO lands where PPO lands only with a lambda that was searched'
@@ -148,10 +149,10 @@ def differences(sides):
 def dots(axes, kind, rows):
     """A small dot for each run, and a large one for their mean, of ratios the geometric one."""
     x, y = np.transpose([(row["power_ratio"], row["performance_difference"]) for row in rows])
-    style = sweep.style(kind)
-    axes.scatter(x, y, 12, alpha=0.6, linewidths=0, **style)
-    style |= dict(edgecolors="white", linewidths=0.5, label=f"{kind}, n = {len(rows)}")
-    axes.scatter(np.exp(np.log(x).mean()), y.mean(), 50, **style)
+    look = style(kind)
+    axes.scatter(x, y, 12, alpha=0.6, linewidths=0, **look)
+    look |= dict(edgecolors="white", linewidths=0.5, label=f"{kind}, n = {len(rows)}")
+    axes.scatter(np.exp(np.log(x).mean()), y.mean(), 50, **look)
 
 
 def finish(axes, task, rival):

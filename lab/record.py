@@ -3,8 +3,8 @@
     results/TASK/runs.csv         a row per run: scores, command, commit, machine, every setting
     results/TASK/metrics.csv.gz   every tenth row of the metrics.csv of each run
     results/TASK/episodes.csv.gz  a row per episode that was played: the policy (pi, or prime for
-                                  pi_prime; empty means pi), how it started, what it was asked for,
-                                  and what evaluate.Episodes measures
+                                  pi_prime), how it started, what it was asked for, and
+                                  what evaluate.Episodes measures
     results/velocity/speed.csv    the mean speed of pi over time, for Figure 6
 
 `python -m lab add RUN...` plays the policies of run folders, and puts them in.
@@ -23,11 +23,12 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
-from lab.statistics import NUMBERS, finite_mean
+from lab.statistics import NUMBERS
 from runtime import run_folder
 
 RESULTS = Path(__file__).parents[1] / "results"
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
+ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 # to be played of each policy from each kind of start, by results/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
 # of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
@@ -79,11 +80,11 @@ def write(path, rows):
     run_folder.replace_file(path, lambda file: file.write(data))
 
 
-def by_run(path):
-    """A table by run: {run: [row, ...]}."""
+def grouped(rows, column):
+    """Rows by what they have in a column: {"EIPO": [row, ...], ...}."""
     groups = {}
-    for row in read(path):
-        groups.setdefault(row["run"], []).append(row)
+    for row in rows:
+        groups.setdefault(row[column], []).append(row)
     return groups
 
 
@@ -108,7 +109,8 @@ def runs(patterns):
     for path in map(Path, patterns):
         place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
         if place not in tables:
-            tables[place] = [by_run(place / file) for file in (RUNS, METRICS, EPISODES, SPEED)]
+            files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED))
+            tables[place] = [grouped(read(file), "run") for file in files]
         listed, metrics, episodes, speed = tables[place]
         names = [run for run in listed if fnmatchcase(run, name)]
         if not names:
@@ -134,13 +136,9 @@ def settings_of(row):
 
 
 def evaluation(run, nominal=False):
-    """The columns of pi's episodes that are of the paper's evaluation.
-
-    nominal: those from the nominal pose, not those from random poses
-    """
+    """The columns of pi's episodes from random poses, or of those from the nominal one."""
     e = run.episodes
-    roughness = evaluate.ROUGHNESS.get(run.settings["task"], run.settings["roughness"][1])
-    return where(((e["start_spread"] == 0) == nominal) & np.isclose(e["roughness"], roughness), e)
+    return where((e["start_spread"] == 0) == nominal, e)
 
 
 def where(mine, e):
@@ -216,10 +214,10 @@ def play(folder, task, num_episodes):
     has_prime = (folder / "policy_prime.npz").exists()
     for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
         policy, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
-        table = dict(zip(("asked_v_x", "asked_v_y", "asked_yaw"), asked.T, strict=True))
+        table = dict(zip(ASKED, asked.T, strict=True))
         table |= evaluate.run_episodes(policy, env, asked)._asdict()
         row = dict(run=folder.name, policy="prime" if prime else "pi")
-        row |= dict(start_spread=env.env_cfg.start_spread, roughness=env.env_cfg.roughness[1])
+        row |= dict(start_spread=env.env_cfg.start_spread)
         for numbers in zip(*table.values(), strict=True):
             yield row | dict(zip(table, map(float, numbers), strict=True))
 
@@ -233,4 +231,4 @@ def speed_rows(folder, num_episodes):
     strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
     for steps in np.array_split(np.arange(len(log)), strides):
         time = env.period * (steps.mean() + 0.5)
-        yield dict(run=folder.name, time=time, v_x=finite_mean(np.array(log)[steps]))
+        yield dict(run=folder.name, time=time, v_x=np.nanmean(np.array(log)[steps]))

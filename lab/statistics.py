@@ -19,12 +19,6 @@ def iqm(x, axis=None):
     return stats.trim_mean(x, 0.25, axis=axis)
 
 
-def finite_mean(x):
-    """Mean of the finite numbers of x, or NaN if there are none."""
-    x = np.ravel(x)[np.isfinite(np.ravel(x))]
-    return x.mean() if x.size else np.nan
-
-
 def summarise(name, by_seed, statistic=np.mean):
     """Columns of a CSV: a statistic, its intervals over episodes and seeds, the number of episodes.
 

@@ -8,6 +8,7 @@ parallel.py     how several processes share it
 """
 
 import os
+import re
 from importlib.metadata import version
 
 YNN_OFF = "--xla_cpu_experimental_ynn_fusion_type="
@@ -23,7 +24,7 @@ def plain_products():
     they are no slower without it.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    jaxlib = tuple(map(int, version("jaxlib").split(".")[:3]))
+    jaxlib = tuple(map(int, re.findall(r"\d+", version("jaxlib"))[:3]))
     if YNN_KNOWN[0] <= jaxlib <= YNN_KNOWN[1] and "ynn_fusion_type" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {YNN_OFF}"
 

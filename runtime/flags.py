@@ -71,7 +71,8 @@ def kind_of(field):
     def value(text):
         if optional and text == "none":
             return None
-        if kind is int and int(text) < (field.name not in FROM_0):
+        least = 0 if field.name in FROM_0 else 1
+        if kind is int and int(text) < least:
             raise argparse.ArgumentTypeError(f"{text} is too small")
         return kind(text)
 
@@ -125,8 +126,6 @@ def check(env_cfg, cfg, processes=1):
     units = cfg.hidden + cfg.hidden_estimator
     if not (cfg.lam > 0 if cfg.algo == "eipo" else cfg.lam >= 0):  # nan as well
         raise ValueError(f"lam is {cfg.lam}: it must be positive, or 0 for PPO")
-    if cfg.algo == "ppo" and cfg.alpha0 is not None:
-        raise ValueError("alpha0 is EIPO's: PPO's alpha is 1 / lam, so give --lam")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
         raise ValueError(f"lr is {cfg.lr}: it stays within {LR_RANGE}, or give --target-kl 0")
     if cfg.mirror and any(n % 2 for n in units):

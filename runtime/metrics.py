@@ -7,7 +7,6 @@ import time
 
 import numpy as np
 
-import tasks
 from runtime import run_folder
 
 EVERY = 30  # s from one line to the next where the output is no terminal
@@ -110,24 +109,5 @@ def draw_curves(folder):
         ax.grid(alpha=0.3)
     axes[0, 0].legend(loc="lower right")
     figure.supxlabel("million steps")
-    save_figure(folder / "curves.png", figure)
-
-
-def draw_commands(folder, weights):
-    """Draw commands.png: the weights (22, 40) of a tasks.Grid."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    low, high = tasks.Grid.low, tasks.Grid.high
-    extent = low[2], high[2], low[0], high[0]  # of yaw rate, then of v_x
-    image = axes.imshow(weights, origin="lower", extent=extent, aspect="auto", vmin=0, vmax=1)
-    title = f"{weights.mean():.1%} of all commands"
-    axes.set(title=title, xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]")
-    figure.colorbar(image, label="weight")
-    save_figure(folder / "commands.png", figure)
-
-
-def save_figure(path, figure):
-    """Replace a PNG."""
-    run_folder.replace_file(path, lambda file: figure.savefig(file, dpi=100, format="png"))
+    png = dict(dpi=100, format="png")
+    run_folder.replace_file(folder / "curves.png", lambda file: figure.savefig(file, **png))

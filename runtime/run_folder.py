@@ -5,7 +5,6 @@
     checkpoint.npz    all that the next iteration depends on, and the settings with which it goes on
     policy.npz        all that it takes to run the policy pi; EIPO adds policy_prime.npz at the end
     curves.png        the metrics, drawn
-    commands.png      on the task `curriculum`: which commands it has reached
     lock              empty; a process that trains here holds it
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader
@@ -125,9 +124,8 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
 
 def saved(env):
     """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    rng = np.array(
-        json.dumps(env.rng.bit_generator.state), "U256"
-    )  # of one length on all processes
+    # of one length on all processes
+    rng = np.array(json.dumps(env.rng.bit_generator.state), "U256")
     return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
 
 

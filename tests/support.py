@@ -265,10 +265,10 @@ DAMAGES = {
 
 
 def change_npz(path, **changes):
-    """Other arrays in an npz file; None takes an array away."""
+    """Other arrays in an npz file."""
     arrays = run_folder.read_npz(path) | {name.replace("__", "."): x for name, x in changes.items()}
     with path.open("wb") as file:
-        np.savez(file, **{name: x for name, x in arrays.items() if x is not None})
+        np.savez(file, **arrays)
 
 
 @contextmanager

@@ -2,22 +2,16 @@
 library that was seen to get them wrong.
 """
 
-import os
-import subprocess
-import sys
-from importlib.metadata import version
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support import EIPO, ROOT
+from support import EIPO
 
 import eipo
 import go1_env
 import ppo
 import tasks
-from runtime import YNN_KNOWN
 
 
 def draw(rng, *shape):
@@ -94,15 +88,3 @@ def compiled_update():
 def test_products_are_not_ynnpack_s():
     text = compiled_update()
     assert "dot(" in text and "__ynn_fusion" not in text
-
-
-def test_products_would_be_ynnpack_s_without_the_flag():
-    """XLA reads its flags at its first computation, here before the project sets them."""
-    first, last = YNN_KNOWN
-    if not first <= tuple(map(int, version("jaxlib").split(".")[:3])) <= last:
-        pytest.skip("this jaxlib has no such products, or nobody has tried the flag on it")
-    late = "import jax; jax.devices(); import test_compiled; print(test_compiled.compiled_update())"
-    others = {name: x for name, x in os.environ.items() if name != "XLA_FLAGS"}
-    paths = {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests")))}
-    text = subprocess.check_output([sys.executable, "-c", late], env=others | paths, text=True)
-    assert "__ynn_fusion" in text

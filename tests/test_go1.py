@@ -7,7 +7,7 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-from support import LEGS, NOMINAL, soles
+from support import LEGS
 
 import go1
 
@@ -93,13 +93,6 @@ def test_contact_sensors(model):
     assert set(parts[go1.TRUNK_TO_THIGHS]) == {"trunk", *of_legs("hip", "thigh")}
     assert parts[go1.FEET] == of_legs("foot")
     assert {parts[i] for i in go1.THIGHS_AND_CALVES} == set(of_legs("thigh", "calf"))
-
-
-def test_home(model):
-    """The keyframe for the viewer: the nominal pose, its front soles on the floor."""
-    home = model.key("home").qpos
-    assert home[7:].tolist() == NOMINAL.tolist() == go1.Q_NOMINAL.tolist()
-    assert soles(home).min() == pytest.approx(0.0, abs=1e-3)
 
 
 # what a step needs of the trunk is in tests/paper/test_3_rewards.py

@@ -1,9 +1,8 @@
-"""`python -m lab`: which episodes end in which cell of which CSV, the tables, and the sweeps."""
+"""`python -m lab`: which episodes end in which cell of which CSV, and the tables."""
 
 import csv
 import gzip
 import json
-import shlex
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -17,9 +16,9 @@ import eipo
 import evaluate
 import policy
 import tasks
-from lab import figures, footfalls, record, sweep
+from lab import figures, footfalls, record
 from lab.__main__ import main
-from runtime import flags
+from lab.kinds import by_kind, kind
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
@@ -30,11 +29,10 @@ def made(run="r", task="flat", speed=None, prime=None, **columns):
     its episodes, which are of random starts and 0 where nothing is given.
     """
     settings = asdict(tasks.task_config(task)) | asdict(eipo.Config(**tasks.TASKS[task].learner))
-    for name in columns.keys() & settings.keys() - {"start_spread", "roughness"}:
+    for name in columns.keys() & settings.keys() - {"start_spread"}:
         settings[name] = columns.pop(name)
     n = max((len(x) for x in columns.values()), default=0)
-    world = dict(start_spread=0.5, roughness=settings["roughness"][1])
-    world |= dict.fromkeys((*figures.ASKED, *evaluate.Episodes._fields), 0)
+    world = dict(start_spread=0.5) | dict.fromkeys((*record.ASKED, *evaluate.Episodes._fields), 0)
     e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
     return record.Run(run, settings, {}, dict(alpha=[200, 400]), e, prime or {}, speed or {})
 
@@ -159,8 +157,8 @@ def test_kinds_of_runs():
         h=dict(lam=0.0, algo="ppo", seed=1),
     )
     several = [made(name, **given) for name, given in settings.items()]
-    kinds = sweep.by_kind(several, "flat")
-    assert {kind: [run.name for run in runs] for kind, runs in kinds.items()} == {
+    found = {name: [run.name for run in runs] for name, runs in by_kind(several, "flat").items()}
+    assert found == {
         "EIPO": ["f"],
         "EIPO, 64 robots": ["c"],
         "PPO(0)": ["e", "h"],
@@ -178,31 +176,12 @@ def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     experiment.
     """
     with pytest.raises(ValueError, match=f"again.*{says}"):
-        sweep.by_kind([made("r"), made("again", **other)], "flat")
+        by_kind([made("r"), made("again", **other)], "flat")
     with pytest.raises(ValueError, match="none of the runs is of the task rough"):
-        sweep.by_kind([made("r")], "rough")
-
-
-def test_a_kind_has_its_color_and_marker_in_every_figure():
-    """EIPO is blue and a lambda has the shade of its group; of a larger one it is darker."""
-    look = lambda name: tuple(sweep.style(name).values())  # noqa: E731
-    assert look("EIPO, 256 robots") == ("#0072B2", "D")
-    assert look("EIPO from 0.01") == ("#0072B2", look("PPO(0.01)")[1])
-    assert look("PPO(0)") == look("PPO(0) shaped") == look("PPO(0), 64 robots")
-    shades = [sum(look(f"PPO({lam})")[0]) for lam in (0.3, 0.005, 0.0003, 0)]
-    assert shades == sorted(shades) and len(set(shades)) == 4
-    assert len({look(kind)[1] for kind in KINDS}) == 10
+        by_kind([made("r")], "rough")
 
 
 # ---- the tables ----
-
-
-def test_only_the_evaluation_of_the_paper_counts():
-    """Rough ground: 15 cm, from random or from nominal starts."""
-    columns = dict(performance=[1, 2, 4, 8], start_spread=[0.5, 0.5, 0, 0.5])
-    run = made("r", "rough", **columns, roughness=[0.15, 0.15, 0.15, 0.1])
-    assert record.evaluation(run)["performance"].tolist() == [1, 2]
-    assert record.evaluation(run, nominal=True)["performance"].tolist() == [4]
 
 
 @pytest.fixture
@@ -282,9 +261,10 @@ def test_the_record_can_be_read():
         place = RESULTS / task
         runs = record.runs([place / "*"])
         assert len(runs) > 5 and all(run.settings["task"] == task for run in runs)
-        assert all(sweep.kind(run.settings) for run in runs)
+        assert all(kind(run.settings) for run in runs)
+        names = {run.name for run in runs}
         for file in (record.METRICS, record.EPISODES, record.SPEED):
-            assert record.by_run(place / file).keys() <= {run.name for run in runs}
+            assert {row["run"] for row in record.read(place / file)} <= names
     policies = [*RESULTS.rglob("policy*.npz")]
     assert len(policies) > 3 and all(policy.load(path) for path in policies)
     files = [path for path in RESULTS.rglob("*") if path.is_file()]
@@ -321,34 +301,7 @@ def test_feet_of_a_trot():
     assert speed.min() > 0.5
 
 
-def test_footfalls_are_bars():
-    """A foot that touches in the second of four steps of 20 ms has a bar from 20 to 40 ms."""
-    axes = figures.Figure().subplots()
-    contact = np.zeros((4, 4), bool)
-    contact[1, 2] = True
-    footfalls.draw(axes, contact, 0.02, "title")
-    corners = [path.get_extents().extents for bar in axes.collections for path in bar.get_paths()]
-    np.testing.assert_allclose(corners, [(0.02, -2.4, 0.04, -1.6)])
-
-
-# ---- sweeps, and what goes wrong ----
-
-
-def test_table1_takes_thirty_three_runs(capsys):
-    """Three seeds x (EIPO twice and the nine lambdas of Eq. (10)), which train.py accepts. EIPO has
-    as many robots as PPO, and as many per policy.
-    """
-    assert main(["sweep", "table1"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    found = []
-    for line in lines:
-        python, script, *argv = shlex.split(line)
-        assert (python, script) == ("python", "train.py")
-        _, *given = flags.parse(argv)
-        env_cfg, cfg = flags.settle(*given)
-        found.append((env_cfg.task, cfg.algo, cfg.lam, cfg.num_envs, cfg.seed))
-    kinds = [("eipo", 0.0002, 128), ("eipo", 0.0002, 256), *(("ppo", x, 128) for x in LAMBDAS)]
-    assert found == [("velocity", *kind, seed) for kind in kinds for seed in range(3)]
+# ---- what goes wrong ----
 
 
 @pytest.mark.parametrize(
@@ -357,7 +310,6 @@ def test_table1_takes_thirty_three_runs(capsys):
         (["fig2", str(RESULTS / "flat" / "nobody")], "no run nobody"),
         (["fig3", str(RESULTS / "flat" / "flat-ppo-lam0-seed10")], "task rough"),
         (["add", "nowhere"], "nowhere/config.json does not exist"),
-        (["sweep", "fig7"], "table1"),
     ],
 )
 def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch):

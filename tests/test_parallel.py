@@ -45,7 +45,7 @@ def process(out, *flags):
     held = {}
     sync, train.save = train.sync_stop_and_curriculum, keep_hash(train.save, held)
     train.sync_stop_and_curriculum = lambda *args: time.sleep(0.5) or sync(*args)
-    metrics.draw_curves = metrics.draw_commands = lambda *_: None  # takes longer than to train
+    metrics.draw_curves = lambda *_: None  # takes longer than to train
     status = train.main(list(flags))
     if status == 0:
         np.savez(f"{out}.{jax.process_index()}.npz", **held, update=one_update())

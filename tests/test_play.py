@@ -56,7 +56,7 @@ def gifs(runs, tmp_path_factory):
     flat, velocity = (str(runs[task]) for task in ("flat", "velocity"))
     argvs = [
         [flat, "--gif", f"{folder}/flat.gif", "--seconds", "0.3"],
-        [flat, velocity, "--gif", f"{folder}/two.gif", "--seconds", "0.1", "--forces"],
+        [flat, velocity, "--gif", f"{folder}/two.gif", "--seconds", "0.1"],
     ]
     code = f"import play; print([play.main(argv) for argv in {argvs}])"
     command = [sys.executable, "-c", code]
@@ -107,7 +107,7 @@ def test_without_opengl_or_display_a_line_says_what_to_do(runs, capsys, monkeypa
     assert "libegl1" in error_of(capsys, play.main, runs["flat"], "--gif", "a.gif")
 
 
-@pytest.mark.parametrize("argv", ["", "--gif a.gif", "--web", "--follow"])
+@pytest.mark.parametrize("argv", ["", "--gif a.gif"])
 def test_what_is_no_run_folder_is_one_line(tmp_path, capsys, monkeypatch, argv):
     monkeypatch.chdir(tmp_path)
     assert "none/policy.npz" in error_of(capsys, play.main, "none", *argv.split())
@@ -136,12 +136,12 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, t
 
 
 @pytest.mark.parametrize(
-    "task, asked, height",
-    [("rough", None, 0.15), ("velocity", None, 0.05), ("flat", None, 0), ("flat", 0.1, 0.1)],
+    "task, height",
+    [("rough", 0.15), ("velocity", 0.05), ("flat", 0)],
 )
-def test_the_ground_is_the_runs_roughest_or_the_given_one(task, asked, height):
+def test_the_ground_is_the_runs_roughest(task, height):
     """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point."""
-    env = play.make_env(tasks.task_config(task), asked)
+    env = play.make_env(tasks.task_config(task))
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
     assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
@@ -173,7 +173,7 @@ class FakeViewer:
 
     def __init__(self, keys):
         self.keys, self.cam, self.lock = iter(keys), mujoco.MjvCamera(), nullcontext
-        self.left, self.opt = len(keys), mujoco.MjvOption()
+        self.left = len(keys)
 
     @contextmanager
     def launch_passive(self, model, data, key_callback, **_):
@@ -206,16 +206,15 @@ def watch(monkeypatch, env, keys, command, *options):
 @pytest.mark.parametrize(
     "keys, command",
     [
-        ([glfw.KEY_UP], [0.6, 0, 0.2]),
-        ([glfw.KEY_DOWN] * 2, [0.3, 0, 0.2]),
-        ([glfw.KEY_LEFT], [0.5, 0, 0.3]),
-        ([glfw.KEY_RIGHT] * 3, [0.5, 0, -0.1]),
+        ([glfw.KEY_UP, *[glfw.KEY_RIGHT] * 3], [0.6, 0, -0.1]),
+        ([*[glfw.KEY_DOWN] * 2, glfw.KEY_LEFT, glfw.KEY_SPACE, glfw.KEY_A], [0.3, 0, 0.3]),
         ([glfw.KEY_UP, glfw.KEY_BACKSPACE, glfw.KEY_LEFT], [0, 0, 0.1]),
-        ([glfw.KEY_SPACE, glfw.KEY_A], [0.5, 0, 0.2]),
     ],
 )
 def test_keys_set_the_command(monkeypatch, env, keys, command):
-    """From 0.5 m/s and 0.2 rad/s: 0.1 for each press of an arrow, left is positive yaw."""
+    """From 0.5 m/s and 0.2 rad/s: 0.1 for each press of an arrow, left is positive yaw. Backspace
+    makes it 0, and other keys leave it.
+    """
     asked = np.array([0.5, 0, 0.2])
     watch(monkeypatch, env, keys, asked)
     assert asked == pytest.approx(command)
@@ -223,14 +222,13 @@ def test_keys_set_the_command(monkeypatch, env, keys, command):
 
 def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch, env):
     """A control step lasts 20 ms, of which a frame's work takes 5; four times slower 80."""
-    force = mujoco.mjtVisFlag.mjVIS_CONTACTFORCE
     viewer, slept = watch(monkeypatch, env, [0] * 4, np.zeros(3))
     assert "v_x 1.3 m/s   300 W" in viewer.text
-    assert slept == pytest.approx([0.015] * 4) and viewer.opt.flags[force] == 0
+    assert slept == pytest.approx([0.015] * 4)
     assert viewer.data.qpos.tolist() == env.qpos[0].tolist()
     assert viewer.cam.trackbodyid == viewer.model.body("trunk").id
-    viewer, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0, True)
-    assert slept == pytest.approx([0.075] * 2) and viewer.opt.flags[force] == 1
+    viewer, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0)
+    assert slept == pytest.approx([0.075] * 2)
 
 
 LOUD = """
@@ -294,20 +292,3 @@ def test_the_drawn_ground_is_the_simulated_one_on_all_sides(hills, corner):
         way = np.array(way) + 1e-6
         real = terrain.height(env.ground, terrain.wrap(env.qpos[0, :2] + way, np.array(0)))
         assert drawn_ground(model, data, data.qpos[:2] + way) == pytest.approx(real, abs=1e-4)
-
-
-def test_the_forces_that_are_drawn_carry_the_robot(env):
-    """Over the half second after it has landed: their mean is the weight, as drawn, to 5 %."""
-    model, data = play.make_scene(env)
-    env.state.mass[0, env.trunk.id] += 2.0  # kg
-    env.state.gravity[0] = [0.5, 0.0, -8.0]  # m/s^2
-    pushes = []
-    for _ in range(75):
-        env.step(np.zeros((1, 12)))
-        play.show(env, model, data)
-        force, up = np.zeros(6), 0.0
-        for i, contact in enumerate(data.contact):
-            mujoco.mj_contactForce(model, data, i, force)
-            up += (force[:3] @ contact.frame.reshape(3, 3))[2]
-        pushes.append(up)
-    assert np.mean(pushes[50:]) == pytest.approx(8.0 * env.state.mass.sum(), rel=0.05)

@@ -147,7 +147,8 @@ def test_equation_table_resolves_both_ways():
     assert used | set(range(1, 12)) == listed
 
 
-TAGS = [f"eq{n:02}" for n in range(1, 12)] + [f"line{n:02}" for n in (6, 8, 9, 12, 13)]
+TAGS = [f"eq{n:02}" for n in range(1, 12)]
+TAGS += [f"line{n:02}" for n in (3, 4, 6, 8, 9, 10, 12, 13, 14)]
 
 
 @pytest.mark.parametrize("tag", [*TAGS, "algorithm1"])

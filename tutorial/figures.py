@@ -7,7 +7,6 @@ computes them. Their background is white, so that they can be read on a dark pag
 """
 
 import tempfile
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -91,15 +90,11 @@ def commands(maps):
 
 # ---- runs that are kept in results/ ----
 
-table = lru_cache(record.read)  # the page asks for several runs of one file
 
-
-def kept(run):
+def kept(name):
     """The columns of metrics.csv of a run, TASK/NAME, of which results/ keeps every tenth row."""
-    task, name = run.split("/")
-    rows = [row for row in table(RESULTS / task / record.METRICS) if row["run"] == name]
-    columns = [key for key, x in rows[0].items() if x and key != "run"]
-    return {key: np.array([row[key] for row in rows], float) for key in columns}
+    (run,) = record.runs([RESULTS / name])
+    return run.metrics
 
 
 def training(runs):

@@ -132,29 +132,6 @@ def test_algorithm1_line06_rollout_bootstraps_from_the_final_observation():
     assert log["reward"] == 0
 
 
-class Overtime(Probe):
-    """A Probe whose final observation shows the time `length`, at which no step begins."""
-
-    def step(self, action):
-        *result, truncated, info = super().step(action)
-        info["final_obs"][truncated, 1] += 1
-        info["final_privileged"][truncated] += 1
-        return *result, truncated, info
-
-
-def test_algorithm1_line06_rollout_bootstraps_from_where_the_last_step_led():
-    """Episodes of 2 steps lead to t = 1 and, when time is up, to t = 2. gamma = 1/2, V = 3 t:
-
-    3/2 - 0 = 3/2        6/2 - 3 = 0        3/2 again
-    """
-    probe = Overtime(lambda x, t, a: 0 * x, length=2, truncates=True)
-    tau, _ = roll(probe, known(1))
-    x = tau.obs[1, :, 0]
-    assert tau.next_obs[1].tolist() == [[own, 2] for own in x]
-    assert tau.next_privileged[1].tolist() == [[own + 2] for own in x]
-    assert (errors(known(1), tau)[..., 0] == [[1.5], [0], [1.5]]).all()
-
-
 def test_algorithm1_line06_rollout_nothing_comes_after_a_fall():
     """Episodes of 2 steps end in a fall. gamma = 1/2, r = 1, V = 3 t:
 
@@ -311,9 +288,7 @@ def test_algorithm1_eipo_starts_as_ppo(with_effort):
 
 
 def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
-    """1 / lam for each lambda of Eq. (10), unless alpha0 says otherwise. Without energy, for PPO,
-    alpha is infinite.
-    """
+    """1 / lam for each lambda of Eq. (10). Without energy, for PPO, alpha is infinite."""
     monkeypatch.setattr(eipo, "init_learner", lambda *_: None)
 
     def start(**changes):
@@ -322,7 +297,6 @@ def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
     expected = [np.inf, 10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50]
     assert [start(lam=lam).alpha for lam in LAMBDAS] == pytest.approx(expected)
     assert start(lam=0.25) == Dual(4, 0)
-    assert start(lam=0.25, alpha0=1.5) == Dual(1.5, 0)
 
 
 @pytest.mark.parametrize("is_mirrored", [True, False])

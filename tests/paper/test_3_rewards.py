@@ -229,19 +229,6 @@ def test_shaped_reward_term_by_term(changes, lost):
     assert list(rewards.shaped_terms(**robot())) == list(rewards.SHAPED)
 
 
-def test_shaped_reward_of_any_leading_shape():
-    """The environments step as one array, so an entry of the result must not depend on others."""
-    rng, ideal = np.random.default_rng(0), robot()
-    ranges = dict(joint_range=np.array([[-0.5] * 12, [1.0] * 12]))
-    many = {name: rng.uniform(size=(2, 3, *x.shape[1:])) for name, x in ideal.items()} | ranges
-    terms = rewards.shaped_terms(**many)
-    for i in np.ndindex(2, 3):
-        alone = {name: x[i] for name, x in many.items() if name not in ranges} | ranges
-        for name, term in rewards.shaped_terms(**alone).items():
-            assert terms[name].shape == (2, 3)
-            assert terms[name][i] == pytest.approx(term, rel=1e-14), name
-
-
 def test_landings_by_hand():
     """0.5 s a step. A foot that was off for 4 steps lands, and one that bounced for 1 does not.
     One stays up, one down.

@@ -169,25 +169,6 @@ def test_eq11_takes_the_mean_of_the_physics_steps():
     assert cost == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("function", "arguments", "clip"),
-    [
-        (energy.mechanical_power, 2, ["torque"]),
-        (energy.mechanical_power, 2, ["power"]),
-        (energy.heating_power, 1, []),
-        (energy.total_power, 2, ["power"]),
-        (energy.energy_cost, 2, ["power"]),
-        (energy.smoothness_cost, 3, []),
-    ],
-)
-def test_energy_of_any_leading_shape(function, arguments, clip):
-    """Rollouts are (T, N, 12), so an entry of the result must not depend on the others."""
-    x = np.random.default_rng(0).normal(size=(arguments, 2, 3, 12)) * 10
-    result = function(*x, *clip)
-    assert result.shape == (2, 3)
-    assert all(result[i] == function(*(part[i] for part in x), *clip) for i in np.ndindex(2, 3))
-
-
 # ---- D17: torque times the mean speed of a physics step ----
 
 HINGE = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody><body>

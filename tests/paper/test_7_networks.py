@@ -246,37 +246,6 @@ def robot_bases(is_mirrored):
     return mirror.make_bases(make(1).mirror if is_mirrored else None, 44, 3, 12)
 
 
-def test_halves_are_an_mlp_whose_weights_are_averaged_with_their_mirror_image():
-    """The definition at full cost, for rows x: W = (W + M W M) / 2 and b = (b + b M) / 2.
-
-    Two frames, then two layers of 3 right and 3 left units, then an action.
-    """
-    rng, of, bases = np.random.default_rng(0), make(1).mirror, robot_bases(is_mirrored=True)
-    swap = np.roll(np.eye(6), 3, axis=1)
-    frames = np.kron(np.eye(2), reflect(np.eye(44), of["frame"]))
-    images = [frames, swap, swap, reflect(np.eye(12), of["action"])]
-    units = np.vstack([np.eye(3), np.eye(3)]) / 2**0.5, np.vstack([np.eye(3), -np.eye(3)]) / 2**0.5
-    frames = mirror.row_of_frames(bases.frame, 2)
-    coordinates = [frames, units, units, bases.action]
-    x = obs = rng.normal(size=(5, 88))
-    whole, layers = [], []
-    for i in range(3):
-        m, n = images[i : i + 2]
-        w, b = rng.normal(size=(len(m), len(n))) / 8, rng.normal(size=len(n))
-        w, b = (w + m @ w @ n) / 2, (b + b @ n) / 2
-        x = (np.where(x > 0, x, np.expm1(x)) if i else x) @ w + b
-        whole.append((w, b))
-        (even_in, odd_in), (even_out, odd_out) = coordinates[i : i + 2]
-        halves = even_in.T @ w @ even_out, odd_in.T @ w @ odd_out
-        layers.append(Layer(halves, b @ even_out))
-    ours = networks.mlp(layers, mirror.split_frames(obs, bases.frame))
-    np.testing.assert_allclose(mirror.join(ours, bases.action), x, atol=1e-5)
-    dense = mirror.dense(layers, frames, bases.action)
-    for (w, b), (w_expected, b_expected) in zip(dense, whole, strict=True):
-        np.testing.assert_allclose(w, w_expected, atol=1e-5)
-        np.testing.assert_allclose(b, b_expected, atol=1e-5)
-
-
 def new_policy(is_mirrored=True):
     """Two frames of 8 robots, and a policy in which noise makes every weight count."""
     env, rng = make(8, noise=1.0, history=2), np.random.default_rng(0)

@@ -79,13 +79,3 @@ def test_small_torques_pass(torque_speed):
     """Below its limits a motor gives what the controller asks for, bit for bit."""
     torque = np.linspace(-20, 20, 12)
     assert go1.limit_torque(torque, np.zeros(12), torque_speed).tolist() == torque.tolist()
-
-
-def test_motors_of_any_leading_shape():
-    """The environments step as one array, so an entry of the result must not depend on others."""
-    target, q, qd = np.random.default_rng(0).normal(size=(3, 2, 5, 12)) * 10
-    torque = go1.limit_torque(go1.pd_torque(target, q, qd), qd, torque_speed=True)
-    assert torque.shape == (2, 5, 12)
-    for i in np.ndindex(2, 5):
-        alone = go1.limit_torque(go1.pd_torque(target[i], q[i], qd[i]), qd[i], torque_speed=True)
-        assert torque[i].tolist() == alone.tolist()

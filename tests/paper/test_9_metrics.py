@@ -79,47 +79,9 @@ def test_energy_per_metre_needs_robots_that_move_ahead(v_x, energy):
     assert evaluate.energy_per_metre([24, 24], [v_x - 1, v_x + 1]) == energy
 
 
-def test_late_and_peak_velocity(episodes):
-    """Second half of robot 0: (11 + ... + 20) / 10 = 15.5 m/s; robot 1 fell before.
-
-    D18. Its peak is 20 m/s, as a mean of its last ten steps 15.5; robot 1 fell before it had ten.
-    """
-    assert episodes.v_x_late[[0, 2]].tolist() == [15.5, 3 / 64] and np.isnan(episodes.v_x_late[1])
+def test_peak_velocity_is_of_the_first_episode(episodes):
+    """D18. Robot 0 reaches 20 m/s in its last step; what robot 1 does after its fall is not its."""
     assert episodes.peak.tolist() == [20.0, 2.0, 3 / 64]
-    assert episodes.peak_sustained.tolist() == [15.5, -np.inf, 3 / 64]
-
-
-class Ending(Scripted):
-    """Robots that lose 1 m/s in each step, v_x is 0, -1, -2, ... m/s. In step 10 robot 1 falls, and
-    the time of robot 2 is up. In their next episode v_x and reward are 64.
-    """
-
-    def step(self, action):
-        obs, _, _, _, info = super().step(action)
-        over = np.array([False, self.t > 10, self.t > 10])
-        log = info["log"] | dict(v_x=np.where(over, 64.0, 1.0 - self.t))
-        terminated = np.array([False, self.t == 10, False])
-        truncated = np.array([self.t == 20, False, self.t == 10])
-        return obs, np.where(over, 64.0, 0.5), terminated, truncated, dict(log=log)
-
-
-def test_an_episode_ends_with_the_step_of_its_time_limit():
-    """Robots 1 and 2 have 10 steps of 0.5 by a limit of 20: 0.25. Only robot 1 fell. Their mean is
-    (0 - 1 - ... - 9) / 10 = -4.5 m/s, that of robot 0 (0 - 1 - ... - 19) / 20 = -9.5.
-    """
-    seen = evaluate.run_episodes(lambda obs: obs, Ending())
-    assert seen.performance.tolist() == [0.5, 0.25, 0.25]
-    assert seen.fell.tolist() == [False, True, False]
-    assert seen.v_x.tolist() == [-9.5, -4.5, -4.5] and seen.peak.tolist() == [0.0] * 3
-
-
-def test_sustained_peak_is_of_ten_whole_steps():
-    """D18. The first ten steps are the fastest, and robots 1 and 2 have no more: 0, -1, ... -9 m/s
-    have the mean -4.5. Of nine it would be -4, with a 0 for the tenth -3.6, and from step 11 on
-    -5.5.
-    """
-    seen = evaluate.run_episodes(lambda obs: obs, Ending())
-    assert seen.peak_sustained.tolist() == [-4.5] * 3
 
 
 def test_the_policy_that_is_measured_has_no_noise():
@@ -143,8 +105,8 @@ def test_the_world_that_is_measured():
     measured = dict(reward="paper", velocity_frame="heading", stagger=False, ground_seed=2024)
     world = tasks.task_config("curriculum", **usual, **measured, **length)
     assert evaluate.evaluation_config(trained) == world
-    asked = replace(world, clip="power", roughness=(0.125, 0.125), start_spread=0.0)
-    assert evaluate.evaluation_config(trained, "power", 0.125, nominal=True) == asked
+    asked = replace(world, clip="power", start_spread=0.0)
+    assert evaluate.evaluation_config(trained, "power", nominal=True) == asked
 
 
 def test_commands_are_kept_and_seen_from_the_first_frame():
@@ -199,16 +161,6 @@ def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(stat
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (0, high)
 
 
-def test_summarise_energy_per_metre():
-    """D27. Seeds of 200 W at 1 m/s and of 400 W at 3 m/s: 600 W / 4 m/s = 150 J/m, and 200 and 133
-    by themselves. An episode without a speed does not count, nor does its power.
-    """
-    seeds = [np.array([[200.0, 900.0], [1.0, np.nan]]), np.array([[400.0], [3.0]])]
-    row = statistics.summarise("x", seeds, evaluate.energy_per_metre)
-    assert (row["x"], row["x_n"]) == (150, 2)
-    assert (row["x_seeds_low"], row["x_seeds_high"]) == (pytest.approx(400 / 3), 200)
-
-
 def test_summarise_without_an_interval():
     """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing
     finite is NaN.
@@ -219,46 +171,3 @@ def test_summarise_without_an_interval():
     )
     *numbers, n = statistics.summarise("x", [np.array([np.nan])]).values()
     assert len(numbers) == 5 and all(np.isnan(numbers)) and n == 0
-
-
-def test_iqm_does_not_see_rare_falls_but_the_mean_does():
-    """One episode of eight at 0.25, the others at 1.25: the middle half is 1.25, the mean 9 / 8 =
-    1.125.
-    """
-    episodes = [np.array([0.25, *[1.25] * 7])]
-    for row, x in (
-        (statistics.summarise("x", episodes), 1.125),
-        (statistics.summarise("x", episodes, statistics.iqm), 1.25),
-    ):
-        assert row["x"] == x
-
-
-def test_mean_of_what_is_finite():
-    """(1 + 2) / 2, and NaN where nothing is finite."""
-    assert statistics.finite_mean([[1.0, np.nan], [2.0, -np.inf]]) == 1.5
-    assert np.isnan(statistics.finite_mean([np.nan]))
-
-
-def test_interval_covers_the_truth():
-    """Of 40 samples of a normal with IQM 0, about 38 of the 95 % intervals hold it."""
-    rng = np.random.default_rng(0)
-    intervals = [
-        evaluate.interval(rng.normal(size=(1, 50)), statistics.iqm, batch=100) for _ in range(40)
-    ]
-    assert 34 <= sum(low < 0 < high for low, high in intervals) <= 40
-
-
-@pytest.mark.filterwarnings("ignore")  # those of its dependencies
-def test_iqm_and_interval_agree_with_rliable():
-    """The library of the paper's reference [31], for three seeds of eight episodes; it draws its
-    own resamples.
-    """
-    from rliable import library as rly
-    from rliable import metrics
-
-    x = np.random.default_rng(0).normal(size=(3, 8))
-    aggregate = lambda y: np.array([metrics.aggregate_iqm(y)])  # noqa: E731
-    point, bounds = rly.get_interval_estimates({"x": x.reshape(-1, 1)}, aggregate, reps=4000)
-    row = statistics.summarise("x", list(x), statistics.iqm)
-    assert row["x"] == pytest.approx(point["x"][0])
-    assert (row["x_low"], row["x_high"]) == pytest.approx(tuple(bounds["x"][:, 0]), abs=0.1)

@@ -1,7 +1,4 @@
-"""Kinds of runs, and which runs the figures and Table I need: `python -m lab sweep table1`.
-
-A run's kind is EIPO or PPO(lambda), and whatever else of it is not usual for its task.
-"""
+"""Kinds of runs: EIPO or PPO(lambda), and whatever else of a run is not usual for its task."""
 
 import re
 
@@ -12,29 +9,6 @@ import tasks
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
-EIPO = "--algo eipo"
-PPO = {lam: f"--algo ppo --lam {lam:g}" for lam in LAMBDAS}
-# the runs behind each figure and Table I: (task, flags of train.py). Table I has EIPO twice: with
-# as many robots in all as PPO, and with as many per policy
-BASELINES = EIPO, PPO[0.005], PPO[0]
-SMOOTH, SHAPED = f"{EIPO} --aux smooth", f"{PPO[0]} --reward shaped"
-SWEEPS = dict(
-    fig2=[("flat", flags) for flags in BASELINES],
-    fig3=[("rough", flags) for flags in BASELINES],
-    fig4=[(task, flags) for task in ("flat", "rough") for flags in (EIPO, *PPO.values())],
-    fig5=[("curriculum", flags) for flags in (EIPO, SMOOTH, PPO[0.005], SHAPED)],
-    fig6=[("velocity", flags) for flags in (EIPO, PPO[0], PPO[0.0001], PPO[0.01])],
-    table1=[("velocity", flags) for flags in (EIPO, f"{EIPO} --num-envs 256", *PPO.values())],
-)
-
-
-def commands(figure, seeds):
-    """Yields the train.py commands of the runs behind a figure."""
-    if figure not in SWEEPS:
-        raise ValueError(f"sweep takes one of {', '.join(SWEEPS)}")
-    for task, flags in SWEEPS[figure]:
-        for seed in seeds:
-            yield f"python train.py --task {task} {flags} --seed {seed}"
 
 
 def kind(settings):
