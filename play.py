@@ -85,11 +85,12 @@ def point(camera, env, model):
     camera.azimuth = np.degrees(np.arctan2(y, x)) + 110.0
 
 
-def caption(log, command):
-    """One line that says what the robot is asked to do and what it does; log: of one robot."""
+def caption(env, log, command):
+    """One line that says what env's robot does, and what it is asked to do if its task asks."""
     x, y, yaw = command
-    asked = f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s"
-    return f"{asked}   v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
+    asked = f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s   "
+    asked *= bool(env.task_commands.high.any())
+    return f"{asked}v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
 
 
 # ---- the policy at work ----
@@ -137,7 +138,7 @@ def watch(env, steps, command, slow=1.0):
                 break
             with viewer.lock():
                 show(env, model, data)
-            viewer.set_texts((None, None, caption(log, command), None))
+            viewer.set_texts((None, None, caption(env, log, command), None))
             viewer.sync()
     for thread in set(threading.enumerate()) - {threading.current_thread()}:
         thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
@@ -195,7 +196,7 @@ def serve(env, steps, command, port=0, slow=1.0):
             if not handle.is_running():
                 break
             show(env, model, data)
-            said[0] = caption(log, command)
+            said[0] = caption(env, log, command)
             handle.sync()
 
 
@@ -283,7 +284,7 @@ def film(args, slow):
         env, steps, command = begin(run, args)
         pictures, logs = draw(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
-        captions.append(f"{Path(run).name}, {slow:g} times slower\n{caption(mean, command)}")
+        captions.append(f"{Path(run).name}, {slow:g} times slower\n{caption(env, mean, command)}")
         robots.append(pictures)
     save_gif(args.gif, robots, captions, round(1000 * slow * env.period))
 

@@ -16,6 +16,7 @@ TASKS = "flat", "rough", "velocity"
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
 PPO = KINDS[1:]
+OTHERS = [ppo for ppo in PPO if ppo not in ("PPO(0)", "PPO(0.005)")]  # these two are rows 1 to 3
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
 # the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
@@ -38,8 +39,8 @@ CLAIMS = [
     (16, "rough", "J/m", ALL, "EIPO", "PPO(0.005)", "<"),
     (17, "rough", "J/m", ALL, "EIPO", "PPO(0)", "<"),
     (18, "rough", "power", ALL, "EIPO", "PPO(0.005)", "similar"),
-    *((19, "flat", "performance", ALL, "EIPO", ppo, ">") for ppo in PPO),
-    *((20, "flat", "performance", EVERY, "EIPO", ppo, ">") for ppo in PPO),
+    *((19, "flat", "performance", ALL, "EIPO", ppo, ">") for ppo in OTHERS),
+    *((20, "flat", "performance", EVERY, "EIPO", ppo, ">") for ppo in OTHERS),
     *((21, "rough", "performance", (0, 0.3), "EIPO", ppo, "similar") for ppo in PPO),
     *((22, "rough", "performance", (0.4, 1), "EIPO", ppo, ">") for ppo in PPO),
     *((23, "velocity", "peak", ALL, "EIPO", ppo, ">") for ppo in PPO),
@@ -111,7 +112,7 @@ def at_every_command(left, right, name, claimed):
         return "not tested"
     whole = "reversed" if "reversed" in counts else "undecided"
     whole = "holds" if counts == {"holds": 11} else whole
-    return f"{whole} ({', '.join(f'{word} at {n}' for word, n in counts.items())})"
+    return f"{whole} (of 11 commands: {', '.join(f'{n} {word}' for word, n in counts.items())})"
 
 
 def shown(compared, name):
@@ -146,7 +147,7 @@ def claim_lines(arms):
         else:
             compared, word = decide(*sides, name, claimed, commands)
         if word == "not tested":
-            untested.setdefault(number, []).append(left if number == 24 else right)
+            untested[number] = untested.get(number, 0) + 1
             continue
         cells = [str(compared.seeds), *shown(compared, name)] if compared else [""] * 4
         if word == "undecided" and compared:
@@ -157,10 +158,9 @@ def claim_lines(arms):
             inside = compared.wide[0] <= size <= compared.wide[1]
             word += f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
         yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
-    lambdas = {n: ppo for n, ppo in untested.items() if len(ppo) < NUMBERED.count(n)}
-    whole = [f"{n}" for n in untested if n not in lambdas] + ["26 to 31"]
-    some = [f"{n} against {', '.join(ppo)}" for n, ppo in lambdas.items()]
-    yield f"\nNot tested, for want of three common seeds: {'; '.join([*some, ', '.join(whole)])}."
+    whole = [f"{n}" for n, rows in untested.items() if rows == NUMBERED.count(n)] + ["26 to 31"]
+    some = [f"{rows} lambdas of {n}" for n, rows in untested.items() if rows < NUMBERED.count(n)]
+    yield f"\nNot tested, for want of three common seeds: {', '.join([*whole, *some])}."
 
 
 def table(runs):

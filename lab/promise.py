@@ -56,19 +56,22 @@ def falls(runs):
 
 def sentence(landed, no_worse):
     """What becomes of "whatever lambda_0, EIPO lands where PPO lands only with a lambda that was
-    searched for": carried, refuted, or undecided by which arms.
+    searched for": carried, refuted, or undecided, and for want of what.
 
     landed: {kind: whether it lands}; no_worse: {kind: the verdict that EIPO is no worse than
     PPO(0)}
     """
     ppo = {landed.get(kind) for kind in SEARCHED}
-    words = {kind: landed.get(kind) for kind in LAMBDA_0}
-    words |= {f"{kind} against PPO(0)": no_worse.get(kind) for kind in LAMBDA_0}
+    words = {f"{kind} lands": landed.get(kind) for kind in LAMBDA_0}
+    words |= {f"{kind} is no worse than PPO(0)": no_worse.get(kind) for kind in LAMBDA_0}
     if {"fails", "reversed"} & {*words.values()} or ppo == {"holds"}:
         return "refuted"
-    undecided = [what for what, word in words.items() if word != "holds"]
-    undecided += [f"PPO, of which none {word}" for word in ("holds", "fails") if word not in ppo]
-    return f"undecided, by {', '.join(undecided)}" if undecided else "carried"
+    words |= {"one PPO lands": "holds" if "holds" in ppo else ""}
+    words |= {"one PPO fails": "holds" if "fails" in ppo else ""}
+    missing = [what for what, word in words.items() if word != "holds"]
+    return (
+        f"undecided, because nobody can say yet that {', '.join(missing)}" if missing else "carried"
+    )
 
 
 def promise_row(left, right, sides, tested, word):

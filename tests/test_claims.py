@@ -138,11 +138,11 @@ def test_rows_of_the_claims():
         "holds",
     ]
     assert row(lines, 1)[-1] == "holds, within the margin"
-    assert row(lines, 3, "PPO(0) ")[3:] == 4 * [""] + ["holds (holds at 11)"]
+    assert row(lines, 3, "PPO(0) ")[3:] == 4 * [""] + ["holds (of 11 commands: 11 holds)"]
     assert row(lines, 4)[5] == "x 0.50 [0.50, 0.50]" and row(lines, 4)[-1] == "holds"
     assert row(lines, 6)[-1] == "no verdict, a run stands"
     assert row(lines, 9)[-1] == "reversed"
-    assert ": 19 against PPO(0.0001), PPO(0.0002), " in lines[-1] and ", 18, 21, " in lines[-1]
+    assert ": 10, 11, " in lines[-1] and ", 18, 19, " in lines[-1]
 
 
 def test_a_line_for_each_kind_of_run():
@@ -158,11 +158,14 @@ def test_a_line_for_each_kind_of_run():
 def test_a_claim_about_every_command():
     """Left is 0.1 above right, but for one command with every seed at which it is 0.1 below."""
     left, right = arm(shift=0.1), arm()
-    assert claims.at_every_command(left, right, "performance", ">") == "holds (holds at 11)"
+    assert (
+        claims.at_every_command(left, right, "performance", ">")
+        == "holds (of 11 commands: 11 holds)"
+    )
     for run in left:
         run.episodes["performance"][run.episodes["asked_v_x"] == 0.7] -= 0.2
     said = claims.at_every_command(left, right, "performance", ">")
-    assert said == "reversed (holds at 10, reversed at 1)"
+    assert said == "reversed (of 11 commands: 10 holds, 1 reversed)"
 
 
 def test_commands_that_count():
@@ -187,13 +190,13 @@ def test_the_papers_own_difference():
 
 def test_every_row_of_the_rules_is_there():
     """results/rules.md counts to 31, of which 26 to 31 are not tested; those about every lambda
-    have nine, or eight where PPO(0) is the rival.
+    have nine, eight where PPO(0) is the rival, or seven where rows 1 to 3 have the other two.
     """
     numbers = [number for number, *_ in claims.CLAIMS]
     page = (ROOT / "results" / "rules.md").read_text()
     listed = {int(n) for n in re.findall(r"^\| (\d+) \| ", page, re.M)}
     assert {*numbers, *range(26, 32)} == listed
-    assert [numbers.count(n) for n in (19, 20, 21, 22, 23, 24)] == [9, 9, 9, 9, 9, 8]
+    assert [numbers.count(n) for n in (19, 20, 21, 22, 23, 24)] == [7, 7, 9, 9, 9, 8]
 
 
 def write(place, *runs):
@@ -270,9 +273,9 @@ def test_the_promise_by_hand():
         ({"EIPO": "fails"}, {}, "refuted"),
         ({"PPO(0.01)": "holds"}, {}, "refuted"),
         ({}, {"EIPO from 0.02": "reversed"}, "refuted"),
-        ({"EIPO from 0.01": "undecided"}, {}, "undecided, by EIPO from 0.01"),
-        ({}, {"EIPO": "undecided"}, "undecided, by EIPO against PPO(0)"),
-        ({"PPO(0.01)": "undecided"}, {}, "undecided, by PPO, of which none fails"),
+        ({"EIPO from 0.01": "undecided"}, {}, "that EIPO from 0.01 lands"),
+        ({}, {"EIPO": "undecided"}, "that EIPO is no worse than PPO(0)"),
+        ({"PPO(0.01)": "undecided"}, {}, "that one PPO fails"),
     ],
 )
 def test_the_sentence(landed, no_worse, says):
@@ -281,7 +284,7 @@ def test_the_sentence(landed, no_worse, says):
     """
     words = dict.fromkeys([*promise.LAMBDA_0, *promise.SEARCHED], "holds") | {"PPO(0.01)": "fails"}
     level = dict.fromkeys(promise.LAMBDA_0, "holds")
-    assert promise.sentence(words | landed, level | no_worse) == says
+    assert promise.sentence(words | landed, level | no_worse).endswith(says)
 
 
 def test_what_lands():
