@@ -110,7 +110,10 @@ def play_episode(policy, env, command=None):
 
 
 def run_episodes(policy, env, command=None):
-    """The Episodes of all robots of env. Arguments are those of `play_episode`."""
+    """The Episodes of all robots of env, and their speed ahead (T, N) [m/s], NaN after the end.
+
+    Arguments are those of `play_episode`.
+    """
     rows = [
         (reward, *(log[name] for name in ("v_x", "power", "pitch", "roll")), alive, falls)
         for reward, log, alive, falls in play_episode(policy, env, command)
@@ -118,7 +121,7 @@ def run_episodes(policy, env, command=None):
     *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
     reward, v_x, power, pitch, roll = (np.where(alive, x, 0.0) for x in series)
     length = alive.sum(0)
-    return Episodes(
+    episodes = Episodes(
         performance=reward.sum(0) / len(alive),
         fell=falls.any(0),
         v_x=v_x.sum(0) / length,
@@ -127,6 +130,7 @@ def run_episodes(policy, env, command=None):
         pitch=pitch.sum(0) / length,
         roll=roll.sum(0) / length,
     )
+    return episodes, np.where(alive, v_x, np.nan)
 
 
 # ---- numbers ----
@@ -165,7 +169,7 @@ def evaluate(folder, args):
     policy, env = load(folder, args.episodes, args.clip, prime=args.prime)
     commands = commands_of(env.env_cfg.task)
     asked = np.resize(commands, (args.episodes, 3))  # in turn
-    played = run_episodes(policy, env, asked)
+    played, _ = run_episodes(policy, env, asked)
     low, high = interval([played.performance], batch=100)
     moving = (asked[:, 0] > 0) | (len(commands) == 1)
     return {

@@ -167,12 +167,12 @@ def add(folders, results=RESULTS, num_episodes=None):
         row = run_row(folder)
         task = settings_of(row)["task"]
         n = num_episodes or NUM_EPISODES[task]
-        played = list(play(folder, task, n))
+        played, speeds = play(folder, task, n)
         run = Run(folder.name, settings_of(row), row, {}, *map(columns, by_policy(played)), {})
         row = dict(run=folder.name) | scores(run) | row
         parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
         if task == "velocity":
-            parts[SPEED] = speed_rows(folder, n)
+            parts[SPEED] = speeds
         (results / task).mkdir(parents=True, exist_ok=True)
         for name, new in parts.items():
             path = results / task / name
@@ -205,30 +205,32 @@ def thinned(folder):
 
 
 def play(folder, task, num_episodes):
-    """Yields a row per episode of the policies in a folder, from random and from nominal starts.
+    """Rows of the episodes of the policies in a folder, from random and from nominal starts, and
+    those of pi's speed from random ones.
 
     Equally many of each command of the evaluation, on curriculum of each command of GRID.
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
     asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
     has_prime = (folder / "policy_prime.npz").exists()
+    rows, speeds = [], []
     for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
         policy, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
-        table = dict(zip(ASKED, asked.T, strict=True))
-        table |= evaluate.run_episodes(policy, env, asked)._asdict()
+        episodes, v_x = evaluate.run_episodes(policy, env, asked)
+        if not (prime or nominal):
+            speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
+        table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
         row = dict(run=folder.name, policy="prime" if prime else "pi")
         row |= dict(start_spread=env.env_cfg.start_spread)
         for numbers in zip(*table.values(), strict=True):
-            yield row | dict(zip(table, map(float, numbers), strict=True))
+            rows.append(row | dict(zip(table, map(float, numbers), strict=True)))
+    return rows, speeds
 
 
-def speed_rows(folder, num_episodes):
-    """Yields the mean speed [m/s] of the robots that have not fallen, and the time [s] since the
-    start, of each period of the clock, which smooths the strides.
+def speed_rows(v_x, env):
+    """Yields the mean of the speeds (T, N) [m/s] that are not NaN, and the time [s], of each period
+    of the clock, which smooths the strides.
     """
-    policy, env = evaluate.load(folder, num_episodes)
-    log = [np.where(up, log["v_x"], np.nan) for _, log, up, _ in evaluate.play_episode(policy, env)]
-    strides = max(1, int(len(log) * env.period * env.env_cfg.clock_hz))
-    for steps in np.array_split(np.arange(len(log)), strides):
-        time = env.period * (steps.mean() + 0.5)
-        yield dict(run=folder.name, time=time, v_x=np.nanmean(np.array(log)[steps]))
+    strides = max(1, int(len(v_x) * env.period * env.env_cfg.clock_hz))
+    for steps in np.array_split(np.arange(len(v_x)), strides):
+        yield dict(time=env.period * (steps.mean() + 0.5), v_x=np.nanmean(v_x[steps]))

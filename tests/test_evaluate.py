@@ -20,7 +20,7 @@ def asked(monkeypatch):
     def run_episodes(policy, env, commands):
         seen.append((env.env_cfg, commands))
         columns = [np.arange(env.num_envs) % 2.0] * len(evaluate.Episodes._fields)
-        return evaluate.Episodes(*columns)
+        return evaluate.Episodes(*columns), None
 
     monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
     return seen
