@@ -69,9 +69,9 @@ def sentence(landed, no_worse):
     words |= {"one PPO lands": "holds" if "holds" in ppo else ""}
     words |= {"one PPO fails": "holds" if "fails" in ppo else ""}
     missing = [what for what, word in words.items() if word != "holds"]
-    return (
-        f"undecided, because nobody can say yet that {', '.join(missing)}" if missing else "carried"
-    )
+    if not missing:
+        return "carried"
+    return f"undecided, because nobody can say yet that {', '.join(missing)}"
 
 
 def promise_row(left, right, sides, tested, word):
