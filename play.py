@@ -88,9 +88,10 @@ def point(camera, env, model):
 def caption(env, log, command):
     """One line that says what env's robot does, and what it is asked to do if its task asks."""
     x, y, yaw = command
-    asked = f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s   "
-    asked *= bool(env.task_commands.high.any())
-    return f"{asked}v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
+    done = f"v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
+    if not env.task_commands.high.any():
+        return done
+    return f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s   {done}"
 
 
 # ---- the policy at work ----

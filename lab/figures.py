@@ -64,7 +64,7 @@ def by_command(runs, task, commands, columns, statistic=np.mean):
     return rows
 
 
-def panels_by(column, rows, num_panels=1):
+def panels_by(column, rows, num_panels):
     """A Figure with panels one above the other for each group of rows.
 
     Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
