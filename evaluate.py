@@ -6,11 +6,14 @@ drawn, as in training, but the ground is new. Every policy starts from the same 
 figures are drawn by `python -m lab`.
 """
 
-import argparse
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so nothing that draws needs to work
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +23,11 @@ from scipy import stats
 import go1_env
 import tasks
 from runtime import deploy
+from runtime.command import Parser, Refused, command
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
 SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
-COMMANDS = np.array([(x / 10, 0.0, 0.0) for x in range(11)])  # commands of Figs. 2 to 4, v_x [m/s]
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
 
@@ -81,16 +84,18 @@ def evaluation_config(env_cfg, clip=None, nominal=False):
     )
 
 
-def load(folder, num_episodes, clip=None, nominal=False, prime=False):
-    """The `deterministic` policy of a run folder and an environment with a robot for each episode.
+def load(folder, clip=None, nominal=False, prime=False):
+    """The `deterministic` policy of a run folder, and the Config in which it is evaluated.
 
     clip:    of Eq. (9); None: as in training
     nominal: start from the nominal pose at rest, not from random poses as in training
     prime:   take pi', the rival in a run of EIPO
     """
-    pi, env_cfg = deploy.load(Path(folder) / ("policy_prime.npz" if prime else "policy.npz"))
-    env_cfg = evaluation_config(env_cfg, clip, nominal)
-    return deterministic(pi), go1_env.Go1Env(num_episodes, env_cfg)
+    path = Path(folder) / ("policy_prime.npz" if prime else "policy.npz")
+    if prime and not path.exists():
+        raise Refused(f"{path} does not exist: PPO has no pi', and EIPO's is written at the end")
+    pi, env_cfg = deploy.load(path)
+    return deterministic(pi), evaluation_config(env_cfg, clip, nominal)
 
 
 # ---- episodes ----
@@ -145,13 +150,22 @@ def energy_per_metre(power, v_x, axis=-1):
     return np.where(v_x > SLOW, power / np.maximum(v_x, SLOW), np.inf)
 
 
+def iqm(x, axis=None):
+    """Interquartile mean of x, as in Table I. It ignores the lowest and the highest quarter."""
+    return stats.trim_mean(x, 0.25, axis=axis)
+
+
 def commands_of(task):
-    """The commands (n, 3) of an evaluation: those of Figs. 2 to 4, or none where none has a v_x."""
-    return COMMANDS if tasks.TASKS[task].commands().high[0] > 0 else np.zeros((1, 3))
+    """The commands (n, 3) of an evaluation: 0, 1/10, ..., 1 of the task's example [Figs. 2 to 4].
+
+    It is a single one if the task asks for nothing.
+    """
+    example = tasks.TASKS[task].commands().example
+    return np.arange(11)[:, None] / 10 * example if example.any() else np.zeros((1, 3))
 
 
 def interval(x, statistic=np.mean, **options):
-    """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [IV-D].
+    """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [V-D].
 
     The statistic takes the k rows, which are k numbers of n episodes. NaN if n is 1. An end that
     lies among infinite values is infinite. options: as for scipy.stats.bootstrap
@@ -166,19 +180,20 @@ def interval(x, statistic=np.mean, **options):
 
 def evaluate(folder, args):
     """Play episodes of a run, and return what `main` prints of it: numbers, by name and unit."""
-    policy, env = load(folder, args.episodes, args.clip, prime=args.prime)
-    commands = commands_of(env.env_cfg.task)
-    asked = np.resize(commands, (args.episodes, 3))  # in turn
-    played, _ = run_episodes(policy, env, asked)
+    policy, env_cfg = load(folder, args.clip, prime=args.prime)
+    commands = commands_of(env_cfg.task)
+    asked = np.tile(commands, (-(-args.episodes // len(commands)), 1))  # equally many of each
+    played, _ = run_episodes(policy, go1_env.Go1Env(len(asked), env_cfg), asked)
     low, high = interval([played.performance], batch=100)
-    moving = (asked[:, 0] > 0) | (len(commands) == 1)
+    moving = asked.any(1) | (len(commands) == 1)
     return {
+        "episodes": len(asked),
         "performance": played.performance.mean(),
         "95 % from": low,
         "to": high,
         "fell": played.fell.mean(),
         "v_x [m/s]": played.v_x.mean(),
-        "peak [m/s]": played.peak.mean(),
+        "peak, IQM [m/s]": iqm(played.peak),
         "power [W]": played.power.mean(),
         "energy [J/m]": energy_per_metre(played.power[moving], played.v_x[moving]),
         "pitch [degrees]": np.abs(played.pitch).mean(),
@@ -189,31 +204,29 @@ def evaluate(folder, args):
 # ---- the command ----
 
 
+@command("evaluate.py")
 def main(argv):
     """Evaluate and print; returns the exit status."""
-    about = dict(description=__doc__.split("\n\n")[0], allow_abbrev=False)
-    parser = argparse.ArgumentParser(prog="evaluate.py", **about)
-    parser.error = lambda message: parser.exit(2, f"evaluate.py: {message} (-h lists every flag)\n")
+    parser = Parser("evaluate.py", __doc__.split("\n\n")[0])
     add = parser.add_argument
     add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
-    add("--episodes", type=int, default=1000, help="per run (default: 1000)")
+    add(
+        "--episodes",
+        type=int,
+        default=1000,
+        help="of each run, of each command as many (default: 1000)",
+    )
     add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
     if args.episodes < 1:
         parser.error(f"--episodes is {args.episodes}: it must be at least 1")
-    try:
-        for i, folder in enumerate(args.runs):
-            row = evaluate(folder, args)
-            if i == 0:
-                print("| run |", " | ".join(row), "|\n|---" + "|---" * len(row) + "|")
-            cells = " | ".join(f"{x:.4g}" for x in row.values())
-            print(f"| {folder.name} | {cells} |", flush=True)
-    except KeyboardInterrupt:
-        return 130
-    except (ValueError, OSError) as error:
-        print(f"evaluate.py: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    for i, folder in enumerate(args.runs):
+        row = evaluate(folder, args)
+        if i == 0:
+            print("| run |", " | ".join(row), "|\n|---" + "|---" * len(row) + "|")
+        cells = " | ".join(f"{x:.4g}" for x in row.values())
+        print(f"| {folder.resolve().name} | {cells} |", flush=True)
     return 0
 
 

@@ -231,7 +231,7 @@ class Go1Env:
             self.ctrl[:] = go1.limit_torque(state.strength * torque, qd, torque_speed)
             torques.append(self.ctrl.copy())
             self.batch.step()
-            touched |= self.contacts > 0  # newtons
+            touched |= self.contacts > 0  # each counts the contacts of its part
             speeds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
         return Physics(np.array(torques), np.array(speeds), touched)
 

@@ -1,8 +1,8 @@
 """The coordinates in which an MLP that keeps to the robot's mirror symmetry costs half (D28).
 
 The mirror M of a Go1 swaps its right and left legs and negates what points sideways. Robot and
-tasks are symmetric, but for 2 mm in the trunk's centre of mass. So is Eq. (9) with the power clip,
-but not with the torque clip (D3). So a policy loses nothing if it commutes with M, that is, if
+tasks are symmetric, but for some millimetres (D28). So is Eq. (9) with the power clip, but not with
+the torque clip (D3). So a policy loses nothing if it commutes with M, that is, if
 pi(M s) = M pi(s).
 
 An MLP commutes with M if its hidden units come in pairs (right, left) that M swaps. Each pair has

@@ -8,9 +8,9 @@ In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left a
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
 """
 
-import argparse
 import ctypes.util
 import os
+import socket
 import sys
 import threading
 import time
@@ -31,9 +31,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 import go1
 import go1_env
-import policy
 import terrain
 from runtime import deploy, run_folder
+from runtime.command import Parser, Refused, command, finite, positive
 
 # up, down, left, right: GLFW's codes
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
@@ -108,7 +108,7 @@ def play(env, pi, command, seed=0, follow=None):
     for _, log in deploy.drive(pi, env, command, seed):
         yield log
         if follow and (now := follow.stat().st_mtime_ns) != written:
-            written, new = now, policy.load(follow)
+            written, (new, _) = now, deploy.load(follow)
             pi.actor, pi.estimator = new.actor, new.estimator  # and it goes on from what pi saw
 
 
@@ -128,7 +128,7 @@ def watch(env, steps, command, slow=1.0):
         command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
     if sys.platform == "linux" and not DISPLAY:  # the viewer would end the process
-        raise ValueError("there is no display: give --web or --gif FILE")
+        raise Refused("there is no display: give --web or --gif FILE")
     model, data = make_scene(env)
     with mujoco.viewer.launch_passive(
         model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
@@ -149,13 +149,12 @@ def launch_web(env, model, command, said, port):
     """MuJoCo's viewer for browsers, in a thread of its own: a handle, to be used in a with block.
 
     command: (3,) that its sliders change; said: a list with the line that it shows
-    Raises ValueError if this MuJoCo has no such viewer.
     """
     try:
         from mujoco.studio import launch_thread, messages, plugin, viewer_protocol, web_viewer
         from mujoco.studio.dear_imgui import dear_imgui as gui
     except ImportError:
-        raise ValueError(f"--web needs MuJoCo 4.0, and this is {mujoco.__version__}") from None
+        raise Refused(f"--web needs MuJoCo 4.0, and this is {mujoco.__version__}") from None
     low, high = env.task_commands.low, env.task_commands.high
 
     class Viewer(web_viewer.WebViewer):
@@ -187,8 +186,8 @@ def serve(env, steps, command, port=0, slow=1.0):
     """Show steps (an iterator of `play`) in browsers of this machine, until Ctrl-C.
 
     port: 0 takes the first free one from 8080 on
-    Raises ValueError if this MuJoCo cannot, RuntimeError if the port is taken.
     """
+    socket.create_server(("127.0.0.1", port)).close()  # MuJoCo's error would name no port
     model, data = make_scene(env)
     said = [""]
     with launch_web(env, model, command, said, port) as handle:
@@ -214,7 +213,11 @@ def draw(env, steps, seconds):
     next(islice(steps, round(1 / env.period) - 1, None))
     point(camera, env, model)
     pictures, logs = [], []
-    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+    try:
+        renderer = mujoco.Renderer(model, SIZE[1], SIZE[0])
+    except Exception as error:  # MuJoCo's, or that of whichever library it draws with
+        raise Refused(f"OpenGL does not work here: {error!r}") from None
+    with renderer:
         for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)
             renderer.update_scene(data, camera)
@@ -247,23 +250,23 @@ def save_gif(path, pictures, captions, milliseconds):
 
 def parse(argv):
     """The arguments of the command line."""
-    about = dict(description=__doc__.splitlines()[0], allow_abbrev=False)
-    parser = argparse.ArgumentParser(prog="play.py", **about)
-    parser.error = lambda message: parser.exit(2, f"play.py: {message} (-h lists every flag)\n")
+    parser = Parser("play.py", __doc__.splitlines()[0])
     add = parser.add_argument
     add("runs", nargs="+", metavar="RUN", help="run folder with a policy.npz; several for a GIF")
     add("--gif", metavar="FILE", type=Path, help="draw into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
-    add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
-    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
+    add("--seconds", type=positive, default=1.0, help="of the robot's time in a GIF (default: 1)")
+    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=finite)
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
-    add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
+    add("--slow", type=positive, help="times slower than real (default: 1, of a GIF 4)")
     add("--follow", action="store_true", help="load every new policy while training runs")
     args = parser.parse_args(argv)
     if len(args.runs) > 1 and not args.gif:
         parser.error("a window or a browser shows one run: give --gif FILE for several")
+    if not 0 <= args.port < 2**16:
+        parser.error(f"--port is {args.port}: it must be from 0 to 65535")
     return args
 
 
@@ -272,41 +275,38 @@ def begin(run, args):
     path = Path(run) / "policy.npz"
     pi, env_cfg = deploy.load(path)
     env = make_env(env_cfg)
-    command = np.array(args.command or deploy.example(env_cfg.task), float)
+    command = np.array(args.command or env.task_commands.example, float)
     return env, play(env, pi, command, args.seed, path if args.follow else None), command
 
 
 def film(args, slow):
     """Draw the GIF of the command line."""
     if os.environ.get("MUJOCO_GL") == "off":
-        raise ValueError("a GIF needs OpenGL: install libegl1 or libosmesa6")
+        raise Refused("a GIF needs OpenGL: install libegl1 or libosmesa6")
     robots, captions = [], []
     for run in args.runs:
         env, steps, command = begin(run, args)
         pictures, logs = draw(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
-        captions.append(f"{Path(run).name}, {slow:g} times slower\n{caption(env, mean, command)}")
+        captions.append(
+            f"{Path(run).resolve().name}, {slow:g} times slower\n{caption(env, mean, command)}"
+        )
         robots.append(pictures)
     save_gif(args.gif, robots, captions, round(1000 * slow * env.period))
 
 
+@command("play.py")
 def main(argv):
     """Play or draw; returns the exit status."""
     args = parse(argv)
-    try:
-        if args.gif:
-            film(args, args.slow or 4.0)
-            return 0
-        seen = begin(args.runs[0], args)
-        if args.web:
-            serve(*seen, args.port, args.slow or 1.0)
-        else:
-            watch(*seen, args.slow or 1.0)
-    except KeyboardInterrupt:
-        return 130
-    except (ValueError, OSError, RuntimeError, OverflowError, mujoco.FatalError) as error:
-        print(f"play.py: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    if args.gif:
+        film(args, args.slow or 4.0)
+        return 0
+    seen = begin(args.runs[0], args)
+    if args.web:
+        serve(*seen, args.port, args.slow or 1.0)
+    else:
+        watch(*seen, args.slow or 1.0)
     return 0
 
 

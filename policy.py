@@ -101,24 +101,20 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. Raises ValueError, in one line, if it is none that `save` wrote."""
-    try:
-        with open(path, "rb") as file, np.load(file) as archive:
-            arrays = dict(archive)
-        config = json.loads(str(arrays.pop("config")))
-        if not all(np.isfinite(x).all() for x in arrays.values()):
-            raise ValueError("not all of its numbers are finite")
-        layers, trace = dict(actor=[], estimator=[]), {}
-        for net, found in layers.items():
-            while (name := f"{net}.{len(found)}.") + "W" in arrays:
-                found.append((arrays[name + "W"], arrays[name + "b"]))
-        for name in arrays:
-            if name.startswith("trace."):
-                trace[name.removeprefix("trace.")] = arrays[name]
-        numbers = {name: arrays[name] for name in NUMBERS}
-        pi = Policy(**layers, **numbers, config=config, trace=trace)
-        pi.act(np.zeros(3), np.zeros(3), np.zeros(12), np.zeros(12))  # do its layers fit?
-        pi.start()
-        return pi
-    except Exception as error:  # whatever the readers of zip, of npy and of JSON raise
-        raise ValueError(f"{path} is not a policy that train.py wrote: {error}") from None
+    """The Policy in a file, or an error of whatever reader finds that it is none."""
+    with open(path, "rb") as file, np.load(file) as archive:
+        arrays = dict(archive)
+    config = json.loads(str(arrays.pop("config")))
+    if not all(np.isfinite(x).all() for x in arrays.values()):
+        raise ValueError("not all of its numbers are finite")
+    layers, trace = dict(actor=[], estimator=[]), {}
+    for net, found in layers.items():
+        while (name := f"{net}.{len(found)}.") + "W" in arrays:
+            found.append((arrays[name + "W"], arrays[name + "b"]))
+    for name in arrays:
+        if name.startswith("trace."):
+            trace[name.removeprefix("trace.")] = arrays[name]
+    pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config, trace=trace)
+    pi.act(np.zeros(3), np.zeros(3), np.zeros(12), np.zeros(12))  # do its layers fit?
+    pi.start()
+    return pi

@@ -5,7 +5,7 @@ and `task_config` puts both together. What has a range is drawn anew for each ep
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ class Range:
 
     def __init__(self, *high):
         """high: v_x, v_y [m/s] and yaw rate [rad/s] of the greatest command."""
-        self.high = np.array(high)
+        self.high = self.example = np.array(high)
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots, which are given by their numbers."""
@@ -67,6 +67,7 @@ class Grid:
     # in a success the means of the two kernels of Eq. (8) are above these [lab code]
     LINEAR, ANGULAR = 0.8, 0.5
     SMALL = 0.2  # m/s, a shorter command (v_x, v_y) becomes 0 [lab code]
+    example = np.array([1.0, 0.0, 0.0])  # to show and to evaluate the task with
 
     def __init__(self):
         self.weights = self.initial_weights()  # (22, 40) [-] over v_x and yaw rate
@@ -157,7 +158,7 @@ TASKS = {
             motor_model=True,  # [IV-A.4], D11
             latency=6,  # [lab code], 30 ms
             max_power=800.0,  # [IV-A.4]
-            episode_steps=1000,  # [ours], D29
+            episode_steps=1000,  # [V-A]
             command_steps=500,  # [lab code], ten seconds
             # "increased domain randomization" [IV-A.4]; the ranges are the lab's and ours
             friction=(0.1, 1.25),
@@ -207,6 +208,9 @@ class Config:
     stagger: bool = True  # [lab code] first episodes start at random ages, so that few end at once
 
 
+NEW = {}  # fields that were added since files were written, with the value that held before
+
+
 def task_config(task="flat", **changes):
     """The Config of a task, with changes."""
     return Config(**dict(task=task) | TASKS[task].world | changes)
@@ -218,5 +222,12 @@ def tuples(record):
 
 
 def read_config(record):
-    """The Config of a dict that comes from JSON. TypeError for fields that there are not."""
-    return Config(**tuples(record))
+    """The Config of a dict that comes from JSON.
+
+    ValueError if its fields are not those of Config, or if there is no such task.
+    """
+    if other := ({f.name for f in fields(Config)} ^ record.keys()) - NEW.keys():
+        raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
+    if record["task"] not in TASKS:
+        raise ValueError(f"there is no task {record['task']}")
+    return Config(**NEW | tuples(record))

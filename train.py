@@ -29,6 +29,7 @@ import eipo
 import go1_env
 import tasks
 from runtime import deploy, metrics, parallel, run_folder
+from runtime.command import Refused, command
 from runtime.flags import Options, check, parse, settle
 from runtime.interrupt import StopRequest
 
@@ -43,31 +44,42 @@ def run_path(options, env_cfg, cfg):
 
 
 def resumed_settings(folder, given, processes):
-    """Both Configs and JAX's threads of the run in folder, with more iterations if given.
+    """Both Configs and the surroundings of the run in folder, with more iterations if given.
 
-    given: the fields of both Configs that the command line sets. ValueError if the run has others.
+    given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, threads, was = run_folder.load_settings(folder / "checkpoint.npz")
+    env_cfg, cfg, began_with, was = run_folder.load_settings(folder / "checkpoint.npz")
     if was != processes:
-        raise ValueError(f"{folder} is a run on {was} process(es): --resume needs as many")
+        raise Refused(f"{folder} is a run on {was} process(es): --resume needs as many")
     settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
             what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
-            raise ValueError(f"{what}: --resume can only raise iterations")
-    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
+            raise Refused(f"{what}: --resume can only raise iterations")
+    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), began_with
 
 
-def pin_jax_threads(began_with):
-    """Let JAX use as many threads as when the run began: its last digits depend on their number.
+def settle_jax(began_with):
+    """Find JAX's device, and say on what last digits depend and is not as when the run began.
 
-    began_with: text, or None for a new run. JAX reads it once, before it computes anything.
+    began_with: run_folder.surroundings of then, or {} for a new run. JAX gets as many threads as it
+    had. It reads their number once, before it computes anything.
     """
     name = run_folder.JAX_THREADS
-    now = os.environ.setdefault(name, began_with or str(go1_env.CORES))
-    if began_with and now != began_with:
-        what = f"{name} is {now} but was {began_with} when this run began"
-        print(f"train.py: {what}, so last digits will differ", file=sys.stderr)
+    os.environ.setdefault(name, began_with.get(name, str(go1_env.CORES)))
+    now = run_folder.surroundings()
+    changed = [f"{x} was {was} and is {now[x]}" for x, was in began_with.items() if now[x] != was]
+    if changed:
+        print(f"train.py: last digits will differ: {', '.join(changed)}", file=sys.stderr)
+
+
+def find_device():
+    """Refuse if JAX has nothing to compute on, before anything is written."""
+    try:
+        jax.devices()
+    except (AssertionError, RuntimeError) as error:
+        asked = os.environ.get("JAX_PLATFORMS")
+        raise Refused(f"JAX finds no device, and JAX_PLATFORMS is {asked}. {error}") from None
 
 
 def make_envs(env_cfg, cfg, threads):
@@ -89,14 +101,18 @@ def save(folder, state, envs, cfg, is_last):
     for name, learner in learners.items():
         learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
         deploy.write(folder / f"{name}.npz", learner, envs[0].env_cfg, is_last)
-    metrics.draw_curves(folder)
+    try:
+        metrics.draw_curves(folder)
+    except Exception as error:  # a picture is not worth a run
+        print(f"train.py: no picture of {folder}: {error!r}", file=sys.stderr, flush=True)
 
 
-def check_same_flags(*given):
-    """Raise ValueError, on all processes, if they were not started with the same flags."""
+def check_same_start(*given):
+    """Refuse, on all processes, if they have other flags, versions or settings of JAX."""
+    given = [*given, run_folder.surroundings() | {run_folder.JAX_THREADS: ""}]
     checksums = parallel.everyone(np.array([zlib.crc32(json.dumps(given).encode())]))
     if (checksums != checksums[0]).any():
-        raise ValueError("the processes have different flags")
+        raise Refused("the processes have different flags, versions or settings of JAX")
 
 
 def sync_stop_and_curriculum(stop_requested, weights, before):
@@ -111,18 +127,17 @@ def sync_stop_and_curriculum(stop_requested, weights, before):
     return bool(requests.any())
 
 
-def train(folder, env_cfg, cfg, options, command):
+def train(folder, envs, cfg, options, command):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
-    envs = make_envs(env_cfg, cfg, options.threads)
+    env_cfg = envs[0].env_cfg
     shared = envs if jax.process_count() == 1 else [parallel.Shared(env) for env in envs]
     start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
     if options.resume:
         start = run_folder.load_checkpoint(folder / "checkpoint.npz", start, envs)
     arrays = parallel.everywhere(dict(key=start.key, pi=start.pi, pi_prime=start.pi_prime))
     is_main = jax.process_index() == 0
+    log = metrics.Log(folder, start.iteration, cfg.iterations)
     if is_main:
-        log = metrics.Log(folder, start.iteration, cfg.iterations)
-        run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
         print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
     weights = getattr(envs[0].commands, "weights", np.zeros(1))
@@ -130,6 +145,8 @@ def train(folder, env_cfg, cfg, options, command):
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
+        if is_main and not stop:  # before, there is nothing to record
+            run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         stop = stop or StopRequest()
         stopped = sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs
@@ -143,42 +160,41 @@ def train(folder, env_cfg, cfg, options, command):
             return state.iteration
 
 
+def prepare(options, given_env, given_learner):
+    """The run folder and both Configs of a run that may start, or go on; JAX is set up for it."""
+    env_cfg, cfg = settle(given_env, given_learner)
+    folder, began_with = run_path(options, env_cfg, cfg), {}
+    if options.resume:
+        given = given_env | given_learner
+        env_cfg, cfg, began_with = resumed_settings(folder, given, options.processes or 1)
+    elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
+        again = "--resume it, or " * ("checkpoint.npz" in found)
+        raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
+    check(env_cfg, cfg, options.processes or 1)
+    settle_jax(began_with)
+    return folder, env_cfg, cfg
+
+
+@command("train.py")
 def main(argv):
     """Parse, train, report. Returns the exit status."""
-    given_options, given_env, given_learner = parse(argv)
+    given_options, *given = parse(argv)
     options = Options(**given_options)
-    command = ["python", *sys.orig_argv[1:]]  # whichever python it was
+    typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
     is_main = not options.process
-    meeting = (options.coordinator, options.processes, options.process)
-    try:
-        env_cfg, cfg = settle(given_env, given_learner)
-        folder, threads = run_path(options, env_cfg, cfg), None
-        if options.resume:
-            given = given_env | given_learner
-            env_cfg, cfg, threads = resumed_settings(folder, given, options.processes or 1)
-        elif (folder / "checkpoint.npz").exists():
-            raise ValueError(f"{folder} already holds a run: --resume it, or choose another --out")
-        check(env_cfg, cfg, options.processes or 1)
-        pin_jax_threads(threads)
-        if meeting != (None, None, None):
-            parallel.join(*meeting)
-            check_same_flags(given_env, given_learner, options.resume, options.checkpoint_every)
-        if is_main:
-            folder.mkdir(parents=True, exist_ok=True)
+    folder, env_cfg, cfg = prepare(options, *given)
+    with parallel.together(options.coordinator, options.processes, options.process):
+        find_device()
+        check_same_start(*given, options.resume, options.checkpoint_every)
+        envs = make_envs(env_cfg, cfg, options.threads)
         with run_folder.lock(folder) if is_main else nullcontext():
-            stopped = train(folder, env_cfg, cfg, options, command)
-    except (ValueError, OSError, jax.errors.JaxRuntimeError) as error:
-        joined = jax.distributed.is_initialized()
-        lost = "has another process ended? " * (joined and isinstance(error, RuntimeError))
-        print(f"train.py: {lost}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        if joined:
-            os._exit(2)  # Python's own way would wait for the others
-        return 2
+            stopped = train(folder, envs, cfg, options, typed)
     if stopped and is_main:
-        again = shlex.join([*command, *([] if options.resume else ["--resume"])])
+        again = shlex.join([*typed, *([] if options.resume else ["--resume"])])
         print(f"\nStopped after iteration {stopped}. Continue with: {again}")
     elif is_main:
-        print(f"\nDone: {folder} holds the policy and its curves. Look: python play.py {folder}")
+        look = shlex.join(["python", "play.py", str(folder)])
+        print(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
     return 130 if stopped else 0
 
 

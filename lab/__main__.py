@@ -11,7 +11,6 @@ RUN is results/TASK for all runs there that train.py named, or 'results/TASK/NAM
 may have * ? and [...]. Other runs are first put into tables of their own, by add.
 """
 
-import argparse
 import os
 import sys
 from pathlib import Path
@@ -20,6 +19,7 @@ if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
 from lab import claims, figures, footfalls, promise, record
+from runtime.command import Parser, command
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1"
 OTHERS = "footfalls", "table", "claims", "promise", "add"
@@ -27,11 +27,7 @@ OTHERS = "footfalls", "table", "claims", "promise", "add"
 
 def parse(argv):
     """The arguments of the command line."""
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        "python -m lab", description=__doc__, formatter_class=form, allow_abbrev=False
-    )
-    parser.error = lambda message: parser.exit(2, f"lab: {message} (-h lists every flag)\n")
+    parser = Parser("python -m lab", __doc__)
     add = parser.add_argument
     add("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
@@ -42,6 +38,8 @@ def parse(argv):
     args = parser.parse_args(argv)
     if not args.what and args.name not in ("claims", "promise"):
         parser.error(f"{args.name} takes at least one argument")
+    if args.name == "footfalls" and len(args.what) > 1:
+        parser.error("footfalls takes one folder")
     return args
 
 
@@ -68,17 +66,12 @@ def run(args):
     return lines
 
 
+@command("lab")
 def main(argv):
     """Run one of the names; returns the exit status."""
-    try:
-        for line in run(parse(argv)):
-            print(line)
-        return 0
-    except KeyboardInterrupt:
-        return 130
-    except (ValueError, OSError) as error:
-        print(f"lab: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    for line in run(parse(argv)):
+        print(line)
+    return 0
 
 
 if __name__ == "__main__":

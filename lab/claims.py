@@ -9,6 +9,7 @@ import numpy as np
 from lab import figures, record
 from lab.kinds import KINDS, by_kind
 from lab.statistics import NUMBERS, compare, verdict
+from runtime.command import Refused
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
 TASKS = "flat", "rough", "velocity"
@@ -53,20 +54,23 @@ NUMBERED = [number for number, *_ in CLAIMS]
 def counted(results=record.RESULTS):
     """The runs that count, by task and kind: {task: {kind: [Run, ...]}}. "pi' of EIPO" is a kind.
 
-    Raises ValueError if those of a task are of several commits.
+    Refused if those of a task are of several commits, or if there are none at all.
     """
     arms = {}
     for task in TASKS:
         place = results / task
         runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
         runs = [run for run in runs if run.episodes and run.settings["seed"] in SEEDS]
-        if len(commits := {run.row["commit"] for run in runs}) > 1:
-            raise ValueError(f"no comparison mixes commits: {', '.join(sorted(commits))}")
+        commits = {commit for run in runs for commit in record.commits(run.row)}
+        if len(commits) > 1:
+            raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
         kinds = by_kind(runs, task) if runs else {}
         arms[task] = kinds | {
             f"pi' of {kind}": [run._replace(episodes=run.prime) for run in arm if run.prime]
             for kind, arm in kinds.items()
         }
+    if not any(arms.values()):
+        raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
     return arms
 
 

@@ -14,6 +14,7 @@ import evaluate
 from lab import record, statistics
 from lab.kinds import KINDS, by_kind, style
 from runtime import run_folder
+from runtime.command import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
@@ -70,7 +71,7 @@ def panels_by(column, rows, num_panels):
     Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
     """
     if not (groups := record.grouped(rows, column)):
-        raise ValueError("none of the runs has what is to be drawn")
+        raise Refused("none of the runs has what is to be drawn")
     figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
     panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
     for name, (top, *_) in zip(groups, panels, strict=True):
@@ -116,7 +117,7 @@ def over_commands(runs, tasks, columns):
     """Rows and a Figure of some columns by command, a panel for each task and column."""
     rows = []
     for task in tasks:
-        rows += by_command(runs, task, evaluate.COMMANDS, columns)
+        rows += by_command(runs, task, evaluate.commands_of(task), columns)
     figure, panels = panels_by("task", rows, len(columns))
     for task, mine, all_axes in panels:
         for axes, column in zip(all_axes, columns, strict=True):

@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 
 import evaluate
 import go1
+import go1_env
 
 SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
 COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
@@ -43,9 +44,10 @@ def footfalls(folder, speeds):
 
     speeds: [m/s] ahead, asked for, a robot each; a task without such commands has one robot
     """
-    policy, env = evaluate.load(folder, len(speeds), nominal=True)
+    policy, env_cfg = evaluate.load(folder, nominal=True)
+    env = go1_env.Go1Env(len(speeds), env_cfg)
     contacts, reached = watch(policy, env, np.outer(speeds, [1.0, 0.0, 0.0]))
-    asks = len(evaluate.commands_of(env.env_cfg.task)) > 1
+    asks = len(evaluate.commands_of(env_cfg.task)) > 1
     speeds = speeds if asks else speeds[:1]
     figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")
     panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]

@@ -6,6 +6,7 @@ from matplotlib import colormaps
 
 import eipo
 import tasks
+from runtime.command import Refused
 
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
@@ -26,7 +27,7 @@ def kind(settings):
 def by_kind(runs, task):
     """The runs of one task by kind: {"EIPO": [a Run of each seed, ...], "PPO(0)": ...}.
 
-    Raises ValueError if there are no runs, and if two of one kind differ in more than the seed, or
+    Refused if there are no runs, or if two of one kind differ in more than the seed, or
     not in it: such runs are no sample of anything.
     """
     kinds = {}
@@ -34,7 +35,7 @@ def by_kind(runs, task):
         if run.settings["task"] == task:
             kinds.setdefault(kind(run.settings), []).append(run)
     if not kinds:
-        raise ValueError(f"none of the runs is of the task {task}")
+        raise Refused(f"none of the runs is of the task {task}")
     for name, (first, *others) in kinds.items():
         for other in others:
             a, b = first.settings, other.settings
@@ -43,7 +44,7 @@ def by_kind(runs, task):
                 names = {x for x in names if not x.endswith("_alpha")}
             if names != {"seed"}:
                 what = ", ".join(sorted(names)) or "nothing, not even in the seed"
-                raise ValueError(f"{first.name} and {other.name} are {name} but differ in {what}")
+                raise Refused(f"{first.name} and {other.name} are {name} but differ in {what}")
     place = dict(zip(KINDS, range(10), strict=True))
     return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 10), x[0])))
 

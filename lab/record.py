@@ -23,8 +23,10 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
+import go1_env
 from lab.statistics import NUMBERS
 from runtime import run_folder
+from runtime.command import Refused
 
 RESULTS = Path(__file__).parents[1] / "results"
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
@@ -114,7 +116,7 @@ def runs(patterns):
         listed, metrics, episodes, speed = tables[place]
         names = [run for run in listed if fnmatchcase(run, name)]
         if not names:
-            raise ValueError(f"{place / RUNS} has no run {name}")
+            raise Refused(f"{place / RUNS} has no run {name}")
         for run in names:
             (row,) = listed[run]
             played = by_policy(episodes.get(run, []))
@@ -127,6 +129,11 @@ def by_policy(rows):
     """The rows of episodes of pi, and those of pi_prime."""
     prime = [row for row in rows if row.get("policy") == "prime"]
     return [row for row in rows if row.get("policy") != "prime"], prime
+
+
+def commits(row):
+    """The commits of all starts of the run in a row of runs.csv."""
+    return {row["commit"], *(start["commit"] for start in json.loads(row["resumed"] or "[]"))}
 
 
 def settings_of(row):
@@ -163,10 +170,10 @@ def add(folders, results=RESULTS, num_episodes=None):
     num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name is
     replaced.
     """
-    for folder in map(Path, folders):
+    for folder in (Path(folder).resolve() for folder in folders):
         row = run_row(folder)
         task = settings_of(row)["task"]
-        n = num_episodes or NUM_EPISODES[task]
+        n = num_episodes or NUM_EPISODES.get(task, 330)
         played, speeds = play(folder, task, n)
         run = Run(folder.name, settings_of(row), row, {}, *map(columns, by_policy(played)), {})
         row = dict(run=folder.name) | scores(run) | row
@@ -215,13 +222,14 @@ def play(folder, task, num_episodes):
     has_prime = (folder / "policy_prime.npz").exists()
     rows, speeds = [], []
     for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
-        policy, env = evaluate.load(folder, len(asked), nominal=nominal, prime=prime)
+        policy, env_cfg = evaluate.load(folder, nominal=nominal, prime=prime)
+        env = go1_env.Go1Env(len(asked), env_cfg)
         episodes, v_x = evaluate.run_episodes(policy, env, asked)
         if not (prime or nominal):
             speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
         table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
         row = dict(run=folder.name, policy="prime" if prime else "pi")
-        row |= dict(start_spread=env.env_cfg.start_spread)
+        row |= dict(start_spread=env_cfg.start_spread)
         for numbers in zip(*table.values(), strict=True):
             rows.append(row | dict(zip(table, map(float, numbers), strict=True)))
     return rows, speeds

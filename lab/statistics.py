@@ -11,12 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
-from evaluate import energy_per_metre, interval
-
-
-def iqm(x, axis=None):
-    """Interquartile mean of x. It ignores the lowest and the highest quarter."""
-    return stats.trim_mean(x, 0.25, axis=axis)
+from evaluate import energy_per_metre, interval, iqm
 
 
 def summarise(name, by_seed, statistic=np.mean):

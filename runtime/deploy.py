@@ -16,17 +16,20 @@ import tasks
 from runtime import run_folder
 
 STEPS = 50  # control steps of the trace, 1 s
+ROBOT = dict(  # what a policy has to know of its robot
+    frame_scale=go1_env.FRAME_SCALE,
+    q_nominal=go1.Q_NOMINAL,
+    action_scale=go1_env.ACTION_SCALE,
+    kp=go1.KP,
+    kd=go1.KD,
+)
 
 
 def of_learner(learner, env_cfg):
     """The Policy of an eipo.Learner, without a trace."""
     return policy.Policy(
         **networks.plain_policy(learner.params, learner.bases),
-        frame_scale=go1_env.FRAME_SCALE,
-        q_nominal=go1.Q_NOMINAL,
-        action_scale=go1_env.ACTION_SCALE,
-        kp=go1.KP,
-        kd=go1.KD,
+        **ROBOT,
         config=asdict(env_cfg),
     )
 
@@ -40,9 +43,12 @@ def write(path, learner, env_cfg, last):
 
 
 def load(path):
-    """The Policy in a policy.npz, and the tasks.Config of its world."""
-    pi = policy.load(path)
+    """The Policy in a policy.npz, and the tasks.Config of its world. Its robot must be ours."""
     with run_folder.reading(path):
+        pi = policy.load(path)
+        other = [name for name, x in ROBOT.items() if not np.array_equal(getattr(pi, name), x)]
+        if other:
+            raise ValueError(f"its robot has another {', '.join(other)}")
         return pi, tasks.read_config(pi.config)
 
 
@@ -53,17 +59,12 @@ def trace(pi, env_cfg):
     """
     world = replace(env_cfg, noise=0.0, stagger=False, tiles=1, episode_steps=10**9)
     rows = []
-    for seen, _ in islice(drive(pi, go1_env.Go1Env(1, world, 1), example(env_cfg.task)), STEPS):
+    command = tasks.TASKS[env_cfg.task].commands().example
+    for seen, _ in islice(drive(pi, go1_env.Go1Env(1, world, 1), command), STEPS):
         target = pi.q_nominal + pi.action_scale * pi.action
         made = dict(frame=pi.frame, estimate=pi.estimate, action=pi.action, target=target)
         rows.append(seen | made)
     return {name: np.array([row[name] for row in rows], np.float32) for name in rows[0]}
-
-
-def example(task):
-    """A command (3,) to show a task with: its greatest one, of a grid 1 m/s ahead."""
-    commands = tasks.TASKS[task].commands()
-    return np.array([1.0, 0.0, 0.0]) if isinstance(commands, tasks.Grid) else commands.high
 
 
 def drive(pi, env, command, seed=0):

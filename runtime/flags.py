@@ -6,6 +6,7 @@ comment behind the field is what `-h` says of it.
 
 import argparse
 import inspect
+import math
 import re
 from dataclasses import dataclass, fields, is_dataclass
 from typing import get_args
@@ -13,6 +14,7 @@ from typing import get_args
 import eipo
 import tasks
 from ppo import LR_RANGE
+from runtime.command import Parser, Refused
 
 
 @dataclass(frozen=True)
@@ -38,14 +40,23 @@ WORDS = dict(
     reward=("paper", "shaped"),
 )
 FROM_0 = ("seed", "ground_seed", "latency", "process")  # whole numbers that may be 0
+# what a number may be; those of the other fields are 0 or more, and none is nan or infinite
+DOMAINS = {
+    "from 0 to 1": (lambda x: 0 <= x <= 1, ("gamma", "gae_lambda", "momentum_alpha")),
+    "above 0": (
+        lambda x: x > 0,
+        ("timestep", "action_limit", "max_power", "clip_eps", "max_grad_norm", "reward_scale"),
+    ),
+    "above -5, as a trunk has 5 kg": (lambda x: x > -5, ("payload",)),
+    "finite": (lambda x: True, ("com", "motor_offset", "gravity", "log_std", "ent_coef")),
+}
 ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
 
 tasks:
 {tasks}
 
-A run has 10 to 15 % of the paper's iterations. On flat and curriculum alpha takes
-longer steps to make up for it (D38).
-As in the paper:
+A run has 10 to 15 % of the paper's iterations, where it prints them. On flat and
+curriculum alpha takes longer steps to make up for it (D38). The paper's length and step:
   --iterations 4000 --lr-alpha 0.01  (on velocity: --iterations 10000)
 
 [IV-C] is a section of the paper, [lab code] what its authors published, [ours] neither; D38 is an
@@ -86,14 +97,12 @@ def kind_of(field):
 def parse(argv):
     """The flags that were given: one dict of fields for each of GROUPS."""
     about = "\n".join(f"  {name:<10}  {task.about}" for name, task in tasks.TASKS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
+        "train.py",
+        ABOUT.format(tasks=about),
         usage="train.py [--task TASK] [--algo eipo|ppo] [--out FOLDER] [--FIELD VALUE ...]",
-        description=ABOUT.format(tasks=about),
-        allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.error = lambda message: parser.exit(2, f"train.py: {message} (-h lists every flag)\n")
     for title, config in GROUPS.items():
         group = parser.add_argument_group(title)
         by_name = {field.name: field for field in fields(config)}
@@ -116,24 +125,30 @@ def settle(given_env, given_learner):
 
 
 def check(env_cfg, cfg, processes=1):
-    """Raise ValueError for settings that would train nonsense without a word."""
+    """Refuse settings that would train nonsense without a word."""
+    domains = {name: (word, fits) for word, (fits, names) in DOMAINS.items() for name in names}
+    for name, x in (vars(env_cfg) | vars(cfg)).items():
+        word, fits = domains.get(name, ("0 or more", lambda x: x >= 0))
+        numbers = [n for n in (x if isinstance(x, tuple) else (x,)) if isinstance(n, int | float)]
+        if not all(math.isfinite(n) and fits(n) for n in numbers):
+            raise Refused(f"{name} is {x}: it must be {word}")
     for name, x in vars(env_cfg).items():
-        if isinstance(x, tuple) and not x[0] <= x[1]:  # nan as well
-            raise ValueError(f"{name} is {x}: the low end comes first")
+        if isinstance(x, tuple) and not x[0] <= x[1]:
+            raise Refused(f"{name} is {x}: the low end comes first")
     policies = 2 if cfg.algo == "eipo" else 1
     shares = policies * processes
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
-    if not (cfg.lam > 0 if cfg.algo == "eipo" else cfg.lam >= 0):  # nan as well
-        raise ValueError(f"lam is {cfg.lam}: it must be positive, or 0 for PPO")
+    if cfg.algo == "eipo" and cfg.lam == 0:
+        raise Refused("lam is 0: EIPO starts at alpha = 1 / lam, and PPO alone can do without")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
-        raise ValueError(f"lr is {cfg.lr}: it stays within {LR_RANGE}, or give --target-kl 0")
+        raise Refused(f"lr is {cfg.lr}: it stays within {LR_RANGE}, or give --target-kl 0")
     if cfg.mirror and any(n % 2 for n in units):
-        raise ValueError(f"one of {units} hidden units is odd and has no half: or --no-mirror")
+        raise Refused(f"one of {units} hidden units is odd and has no half: or --no-mirror")
     if cfg.num_envs % shares:
         what = f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have"
-        raise ValueError(f"{what} equal shares, so it must be a multiple of {shares}")
+        raise Refused(f"{what} equal shares, so it must be a multiple of {shares}")
     if batch == 0:
-        raise ValueError("num_minibatches is greater than num_steps * num_envs of each policy")
+        raise Refused("num_minibatches is greater than num_steps * num_envs of each policy")
     if batch % processes:
-        raise ValueError(f"{processes} processes have no equal shares of a minibatch of {batch}")
+        raise Refused(f"{processes} processes have no equal shares of a minibatch of {batch}")

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import sys
 import time
 
@@ -21,10 +22,20 @@ class Log:
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
         self.first, self.shown = None, -EVERY
-        with run_folder.reading(self.path):
-            lines = self.path.read_text().splitlines(True) if done else []
-        kept = "".join(lines[: done + 1])
-        run_folder.replace_file(self.path, lambda file: file.write(kept.encode()))
+
+    def begin(self, header):
+        """Keep the rows up to the checkpoint, or set a file aside to which this run cannot add.
+
+        A log is not worth a run, so a damaged one, or one with other columns, does not end it.
+        """
+        lines = self.path.read_bytes().splitlines(True) if self.done and self.path.exists() else []
+        kept = lines[: self.done + 1]
+        if kept and (kept[0] != header or not re.match(rb"%d,.*\n$" % self.done, kept[-1])):
+            aside = self.path.with_suffix(".old.csv")
+            os.replace(self.path, aside)
+            print(f"{self.path} does not fit: it is {aside} now, and a new one begins", flush=True)
+            kept = []
+        run_folder.replace_file(self.path, lambda file: file.writelines(kept))
 
     def add(self, iteration, metrics):
         """Write one row and show it. Its time counts from the last start or resumption."""
@@ -32,6 +43,8 @@ class Log:
         rate = metrics["steps"] / iteration * (iteration - self.done) / seconds
         clock = dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
         row = dict(iteration=iteration) | metrics | clock
+        if self.first is None:
+            self.begin(",".join(row).encode() + b"\n")
         with open(self.path, "a", newline="") as file:
             writer = csv.DictWriter(file, list(row), lineterminator="\n")
             if file.tell() == 0:

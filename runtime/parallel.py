@@ -7,8 +7,11 @@ knows of processes. `jax.distributed` connects them: Gloo between CPUs, NCCL bet
 takes the first device that it sees.
 """
 
+import os
 import socket
 import sys
+import traceback
+from contextlib import contextmanager
 
 import jax
 import numpy as np
@@ -16,18 +19,20 @@ from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
+from runtime.command import Refused, complaint
+
 # s in which all processes must have come, and s after which a silent one counts as ended
 JOIN, SILENCE = 60, 20
 
 
 def join(coordinator, processes, process):
-    """Connect with the other processes of a run; raises ValueError.
+    """Connect with the other processes of a run.
 
     coordinator: HOST:PORT of process 0; process: which of `processes` this one is
     """
     host, _, port = str(coordinator).rpartition(":")
     if None in (processes, process) or not (host and port.isdecimal() and process < processes):
-        raise ValueError(
+        raise Refused(
             "several processes need --coordinator HOST:PORT, --processes P and --process 0 to "
             f"P - 1, not {coordinator}, {processes} and {process}"
         )
@@ -41,7 +46,26 @@ def join(coordinator, processes, process):
         print(f"waiting {JOIN} s for {processes} processes at {coordinator}", file=sys.stderr)
         jax.distributed.initialize(coordinator, processes, process, **times)
     except (RuntimeError, OSError, OverflowError) as error:
-        raise ValueError(f"{coordinator}: the processes did not meet there: {error}") from None
+        raise Refused(f"{coordinator}: the processes did not meet there: {error}") from None
+
+
+@contextmanager
+def together(*meeting):
+    """Meanwhile be one of several processes, if `meeting`, the arguments of `join`, says so.
+
+    One that fails ends at once. Python's own way would wait for the others.
+    """
+    if meeting == (None, None, None):
+        yield
+        return
+    join(*meeting)
+    try:
+        yield
+    except Exception as error:
+        lost = "has another process ended? " * isinstance(error, jax.errors.JaxRuntimeError)
+        line = lost + " ".join(str(error).split()) if lost else complaint(error)
+        print(f"train.py: {line}" if line else traceback.format_exc(), file=sys.stderr, flush=True)
+        os._exit(2)
 
 
 # ---- what each has, for all ----

@@ -8,7 +8,7 @@
     lock              empty; a process that trains here holds it
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader
-finds the old file or the new one. What cannot be read raises ValueError with one line.
+finds the old file or the new one. What cannot be read is refused, in one line.
 """
 
 import json
@@ -30,12 +30,14 @@ import eipo
 import tasks
 from go1_env import CORES
 from runtime import parallel
+from runtime.command import Refused
 
 try:
     import fcntl
 except ImportError:
     fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
 
+FILES = "config.json", "metrics.csv", "checkpoint.npz", "policy.npz", "policy_prime.npz"
 JAX_THREADS = "PJRT_NPROC"  # environment variable with the number of JAX's threads on a CPU
 
 
@@ -47,7 +49,7 @@ def reading(path):
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
         missing = isinstance(error, FileNotFoundError)
         what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
-        raise ValueError(f"{path} {what}") from None
+        raise Refused(f"{path} {what}") from None
 
 
 def read_npz(path):
@@ -72,13 +74,16 @@ def replace_file(path, write):
 
 @contextmanager
 def lock(folder):
-    """Keep the run folder to this process, until it ends. ValueError if another one has it."""
+    """Make the run folder and keep it to this process, until it ends, unless another one has it."""
+    if folder.is_symlink() and not folder.exists():
+        raise Refused(f"{folder} is a link to {folder.readlink()}, which does not exist")
+    folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "lock", "a") as file:
         try:
             if fcntl:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"{folder} is being trained by another process: stop it") from None
+            raise Refused(f"{folder} is being trained by another process: stop it") from None
         yield
 
 
@@ -87,12 +92,23 @@ def lock(folder):
 
 def commit():
     """The commit of this source, with a + if it was changed since; "unknown" outside of git."""
-    command = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    here = dict(cwd=Path(__file__).parent, capture_output=True, text=True)
+    here = Path(__file__)
+    is_ours = ["ls-files", "--error-unmatch", here.name]  # and not a copy in somebody's repository
+    describe = ["describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    options = dict(cwd=here.parent, capture_output=True, text=True)
     try:
-        return subprocess.run(command, **here).stdout.strip() or "unknown"
-    except FileNotFoundError:  # there is no git
+        _, found = (subprocess.run(["git", *x], check=True, **options) for x in (is_ours, describe))
+        return found.stdout.strip()
+    except (FileNotFoundError, subprocess.CalledProcessError):  # there is no git, or no commit
         return "unknown"
+
+
+def surroundings():
+    """Versions and settings on which the last digits of a run depend, by name, as text."""
+    found = {package: version(package) for package in ("jax", "jaxlib", "numpy", "mujoco")}
+    settings = "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable"
+    found |= {name: str(getattr(jax.config, name)) for name in settings}
+    return found | {JAX_THREADS: os.environ.get(JAX_THREADS, "unset")}
 
 
 def cpu_model():
@@ -146,19 +162,19 @@ def save_checkpoint(path, state, envs, cfg):
         for name, each in of_all.items():
             arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(jax_threads=os.environ.get(JAX_THREADS), processes=jax.process_count())
+    settings |= dict(surroundings=surroundings(), processes=jax.process_count())
     arrays["settings"] = np.array(json.dumps(settings))
     if jax.process_index() == 0:
         replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, how many threads JAX had, and how many processes there were."""
+    """Both Configs of a checkpoint, its `surroundings`, and how many processes there were."""
     arrays = read_npz(path)
     with reading(path):
         record = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
-        return env_cfg, eipo.Config(**cfg), record["jax_threads"], record["processes"]
+        return env_cfg, eipo.Config(**cfg), record["surroundings"], record["processes"]
 
 
 def load_checkpoint(path, template, envs):
@@ -170,7 +186,9 @@ def load_checkpoint(path, template, envs):
     arrays = read_npz(path)
 
     def restore(key, like):
-        found = arrays["state" + jax.tree_util.keystr(key)]
+        found = arrays["state" + (name := jax.tree_util.keystr(key))]
+        if found.shape != np.shape(like):
+            raise ValueError(f"{name} has the shape {found.shape}, and not {np.shape(like)}")
         return found.item() if isinstance(like, int | float) else jnp.asarray(found)
 
     with reading(path):

@@ -204,21 +204,26 @@ def write(place, *runs):
     place.mkdir(parents=True)
     settings = made().settings
     rows = [
-        dict(run=name, commit=commit)
+        dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
         | {f"env.{x}": json.dumps(seed if x == "seed" else y) for x, y in settings.items()}
-        for name, seed, commit in runs
+        for name, seed, commit, *resumed in runs
     ]
     record.write(place / record.RUNS, rows)
     record.write(place / record.EPISODES, [dict(run=name, fell=0.0) for name, *_ in runs])
 
 
 def test_runs_that_count(tmp_path, capsys):
-    """Seeds from 10 to 17, of one commit."""
+    """Seeds from 10 to 17, of one commit, of which all their starts must be."""
     write(tmp_path / "flat", ("a", 9, "old"), ("b", 10, "new"), ("c", 11, "new"), ("d", 23, "old"))
     assert [run.name for run in claims.counted(tmp_path)["flat"]["EIPO"]] == ["b", "c"]
     write(tmp_path / "more" / "flat", ("a", 10, "0ld"), ("b", 11, "new"))
     assert main(["claims", "--results", str(tmp_path / "more")]) == 2
     assert "0ld, new" in capsys.readouterr().err
+    write(tmp_path / "resumed" / "flat", ("a", 10, "new", "0ld"), ("b", 11, "new"))
+    assert main(["claims", "--results", str(tmp_path / "resumed")]) == 2
+    assert "0ld, new" in capsys.readouterr().err
+    assert main(["claims", "--results", str(tmp_path / "nothing")]) == 2
+    assert "has no run" in capsys.readouterr().err
 
 
 def test_the_pages_have_what_the_commands_print():

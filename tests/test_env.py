@@ -216,7 +216,7 @@ def test_final_obs_is_of_the_old_pose():
 
 def test_autoreset_leaves_the_others_alone():
     """Robot 1 of 3 has no time left. The others go on, bit for bit, as if it had."""
-    env, twin = make(3), make(3)
+    env, twin = make(3, latency=6), make(3, latency=6)  # targets of others are on their way
     actions, others = random_actions(env, 6), [0, 2]
     run(env, actions[:2]), run(twin, actions[:2])
     env.state.age[1] = 999

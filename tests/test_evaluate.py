@@ -27,13 +27,14 @@ def asked(monkeypatch):
 
 
 def test_the_line_of_a_run(folder, asked, capsys):
-    """22 episodes of 11 commands in turn, on the 15 cm of Section V-B: half of them perform at 1,
-    so the mean is 1/2.
+    """20 episodes become 22, two of each of 11 commands in turn, on the 15 cm of Section V-B. Half
+    of them perform at 1, so the mean is 1/2.
     """
-    assert evaluate.main([str(folder), "--episodes", "22"]) == 0
+    assert evaluate.main([str(folder), "--episodes", "20"]) == 0
     head, _, line = capsys.readouterr().out.splitlines()
     row = dict(zip(head.split(" | "), line.split(" | "), strict=True))
     assert (row["performance"], row["fell"], row["power [W]"]) == ("0.5", "0.5", "0.5")
+    assert row["episodes"] == "22" and row["peak, IQM [m/s]"] == "0.5"
     assert 0.2 < float(row["95 % from"]) < 0.5 < float(row["to"]) < 0.8
     ((env_cfg, commands),) = asked
     assert env_cfg.roughness == (0.15, 0.15) and env_cfg.start_spread == 0.5
@@ -65,7 +66,7 @@ def test_what_stands_in_the_way_is_one_line(folder, capsys):
 def test_prime_is_the_rival(tmp_path, asked, capsys):
     """Its file is policy_prime.npz, which PPO does not have."""
     folder = make_run(tmp_path / "run")
-    assert "policy_prime.npz" in error_of(capsys, evaluate.main, folder, "--prime")
+    assert "PPO has no pi'" in error_of(capsys, evaluate.main, folder, "--prime")
     (folder / "policy.npz").rename(folder / "policy_prime.npz")
     assert evaluate.main([str(folder), "--prime", "--episodes", "11"]) == 0
     assert "policy.npz" in error_of(capsys, evaluate.main, folder)

@@ -14,11 +14,13 @@ from support import LAMBDAS, ROOT, error_of, make_run
 
 import eipo
 import evaluate
+import go1_env
 import policy
 import tasks
 from lab import figures, footfalls, record
 from lab.__main__ import main
 from lab.kinds import by_kind, kind
+from runtime.command import Refused
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
@@ -175,9 +177,9 @@ def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     """The same kind and seed twice would count one policy double; other settings are another
     experiment.
     """
-    with pytest.raises(ValueError, match=f"again.*{says}"):
+    with pytest.raises(Refused, match=f"again.*{says}"):
         by_kind([made("r"), made("again", **other)], "flat")
-    with pytest.raises(ValueError, match="none of the runs is of the task rough"):
+    with pytest.raises(Refused, match="none of the runs is of the task rough"):
         by_kind([made("r")], "rough")
 
 
@@ -292,7 +294,8 @@ def test_feet_of_a_trot():
     """The policy of flat ground trots: a front foot and the hind foot across are more often
     together on the ground or in the air than two feet of one side.
     """
-    policy, env = evaluate.load(RESULTS / "flat", 2, nominal=True)
+    policy, env_cfg = evaluate.load(RESULTS / "flat", nominal=True)
+    env = go1_env.Go1Env(2, env_cfg)
     contacts, speed = footfalls.watch(policy, env, np.array([[0.6, 0, 0], [1, 0, 0]]))
     assert contacts.shape == (footfalls.SHOWN / env.period, 2, 4)
     alike = lambda a, b: (contacts[..., a] == contacts[..., b]).mean()  # noqa: E731
@@ -324,9 +327,11 @@ def test_a_damaged_table_is_one_line(tmp_path, capsys):
     assert "episodes.csv.gz is damaged" in error_of(capsys, main, "table", tmp_path / "flat-*")
 
 
-@pytest.mark.parametrize("argv", [["fig7"], ["fig2"], ["fig2", "a", "--moon"]])
+@pytest.mark.parametrize(
+    "argv", [["fig7"], ["fig2"], ["fig2", "a", "--moon"], ["footfalls", "a", "b"]]
+)
 def test_a_wrong_command_line_is_one_line(argv, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(argv)
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("lab: ")
+    assert line.startswith("python -m lab: ")

@@ -1,12 +1,13 @@
 """policy.py: what policy.npz promises, kept by every committed file and by a run's last one."""
 
+import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support import DAMAGES, ROOT, change_npz, make_run
+from support import DAMAGES, ROOT, change_npz, error_of, make_run
 
 import evaluate
 import go1
@@ -15,7 +16,7 @@ import networks
 import policy
 import ppo
 import tasks
-from runtime import deploy
+from runtime import deploy, run_folder
 
 COMMITTED = sorted((ROOT / "results").rglob("policy*.npz"))
 SENSORS = ("gravity", "command", "q", "qd")
@@ -147,13 +148,33 @@ NO_POLICY = {
 }
 
 
+def with_settings(path, change):
+    """Other settings in a policy.npz."""
+    config = json.loads(str(run_folder.read_npz(path)["config"]))
+    change_npz(path, config=json.dumps(change(config)))
+
+
+OF_ANOTHER_WORLD = {
+    "kp": lambda path: change_npz(path, kp=21.0),
+    "q_nominal": lambda path: change_npz(path, q_nominal=np.zeros(12)),
+    "friction": lambda path: with_settings(path, lambda c: c.pop("friction") and c),
+    "moonlight": lambda path: with_settings(path, lambda c: c | dict(moonlight=1)),
+    "moon": lambda path: with_settings(path, lambda c: c | dict(task="moon")),
+}
+
+
+@pytest.mark.parametrize("name", OF_ANOTHER_WORLD)
+def test_a_policy_of_another_robot_or_world_is_refused(tmp_path, capsys, name):
+    OF_ANOTHER_WORLD[name](make_run(tmp_path) / "policy.npz")
+    said = error_of(capsys, evaluate.main, tmp_path)
+    assert name in said and "policy.npz" in said
+
+
 @pytest.mark.parametrize("damage", NO_POLICY.values(), ids=NO_POLICY)
-def test_what_is_no_policy_is_one_line_that_names_it(tmp_path, damage):
+def test_what_is_no_policy_is_one_line_that_names_it(tmp_path, capsys, damage):
     path = make_run(tmp_path) / "policy.npz"
     damage(path)
-    with pytest.raises(ValueError, match=re.escape(str(path))) as said:
-        policy.load(path)
-    assert "\n" not in str(said.value)
+    assert error_of(capsys, evaluate.main, tmp_path).count(str(path)) == 1
 
 
 def test_the_lines_of_deploy_md_run(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import evaluate
 import tasks
 import train
 from runtime import flags
+from runtime.command import Refused
 from runtime.flags import parse, settle
 
 
@@ -43,6 +44,32 @@ def test_paper_settings_of_every_task():
     assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
     assert (cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (0.01, 1, 0.99)
     assert evaluate.EPISODE_STEPS == 1000
+
+
+def test_what_is_not_printed_is_the_lab_s():
+    """D5: the discount, GAE's lambda, PPO's clip range, and a control step in s as scale (D10)."""
+    cfg = eipo.Config()
+    assert (cfg.gamma, cfg.gae_lambda, cfg.clip_eps, cfg.reward_scale) == (0.99, 0.95, 0.2, 0.02)
+
+
+def test_paper_settings_of_curriculum():
+    """IV-A.4 and V-E: ground up to 5 cm, a motor model, an end above 800 W, feet alone on the
+    ground, five frames, lambda_0 = 0.005. The lab's: 30 ms of latency, and a command every ten of
+    20 s. What is randomised is in test_world.py.
+    """
+    env_cfg, cfg = settle(dict(task="curriculum"), {})
+    assert (env_cfg.roughness, env_cfg.motor_model, env_cfg.max_power) == ((0, 0.05), True, 800)
+    assert (env_cfg.history, cfg.lam, cfg.algo) == (5, 0.005, "eipo")
+    assert env_cfg.latency * env_cfg.timestep == 0.03
+    assert (env_cfg.episode_steps, env_cfg.command_steps) == (1000, 500)
+    assert tasks.TASKS["curriculum"].only_feet
+
+
+@pytest.mark.parametrize("algo, robots", [("eipo", [4, 4]), ("ppo", [8])])
+def test_policies_have_equal_shares_of_the_robots(algo, robots):
+    """D9: EIPO and PPO simulate as many in all."""
+    cfg = eipo.Config(algo=algo, num_envs=8)
+    assert [env.num_envs for env in train.make_envs(tasks.Config(), cfg, 1)] == robots
 
 
 def test_alpha_takes_longer_steps_where_lambda_0_is_large():
@@ -87,6 +114,18 @@ def test_what_is_typed_is_read():
     [
         ("--lam 0", "lam is 0"),
         ("--lam nan", "lam is nan"),
+        ("--lam inf", "lam is inf"),
+        ("--gamma nan", "gamma is nan"),
+        ("--gamma 1.5", "gamma is 1.5: it must be from 0 to 1"),
+        ("--momentum-alpha 1.5", "momentum_alpha is 1.5"),
+        ("--lr-alpha nan", "lr_alpha is nan"),
+        ("--clip-eps -0.1", "clip_eps is -0.1: it must be above 0"),
+        ("--timestep 0", "timestep is 0.0"),
+        ("--clock-hz nan", "clock_hz is nan"),
+        ("--friction -1 1", "friction is (-1.0, 1.0): it must be 0 or more"),
+        ("--payload -9 0", "payload is (-9.0, 0.0)"),
+        ("--com 0 inf", "com is (0.0, inf): it must be finite"),
+        ("--max-power 0", "max_power is 0.0"),
         ("--algo ppo --lam -0.1", "lam is -0.1"),
         ("--lr 0.01", "--target-kl 0"),
         ("--hidden 8 3", "odd"),
@@ -126,5 +165,5 @@ def test_settings_of_ppo_are_checked_as_ppo():
     world = tasks.Config()
     flags.check(world, eipo.Config())
     flags.check(world, eipo.Config(**few, num_minibatches=3))
-    with pytest.raises(ValueError, match="num_minibatches"):
+    with pytest.raises(Refused, match="num_minibatches"):
         flags.check(world, eipo.Config(**few, num_minibatches=4))

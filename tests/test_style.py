@@ -30,6 +30,7 @@ LAYERS = {
     "mirror": {"numpy", "scipy"},
     "networks": {"numpy", "jax"},
     "runtime/__init__": set(),
+    "runtime/command": set(),
     "runtime/interrupt": set(),
     "runtime/parallel": {"numpy", "jax"},
     "ppo": {"numpy", "jax", "optax"},

@@ -9,12 +9,15 @@ import sys
 import time
 from contextlib import contextmanager
 
+import jax
 import numpy as np
 import pytest
 from support import DAMAGES, ROOT, SECONDS, TINY, contents, error_of, full_disk, started
 
+import rewards
+import tasks
 import train
-from runtime import metrics
+from runtime import metrics, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 SIGNALS = signal.SIGINT, signal.SIGTERM
@@ -222,6 +225,105 @@ def test_a_run_is_never_overwritten_and_keeps_its_settings(finished, capsys, fla
     assert contents(finished) == before
 
 
+@pytest.mark.parametrize("name", run_folder.FILES)
+def test_any_file_of_a_run_is_kept(tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    assert name in error_of(capsys, train.main, *TINY, "--out", tmp_path)
+    assert contents(tmp_path) == {name: b"mine"}
+
+
+def test_a_dangling_link_is_one_line(tmp_path, capsys):
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    assert "is a link to" in error_of(capsys, train.main, *TINY, "--out", tmp_path / "link")
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize(
+    "platforms, says", [("cuda", "JAX_PLATFORMS is cuda"), ("moon", "not in the list")]
+)
+def test_a_device_that_jax_does_not_have_is_one_line(tmp_path, platforms, says):
+    command = [sys.executable, ROOT / "train.py", *FLAGS, "--out", tmp_path / "run"]
+    options = dict(env=os.environ | dict(JAX_PLATFORMS=platforms), timeout=SECONDS)
+    done = subprocess.run(command, capture_output=True, text=True, **options)
+    line = done.stderr.splitlines()[-1]
+    assert (
+        done.returncode == 2 and line.startswith("train.py: JAX finds no device") and says in line
+    )
+    assert "Traceback" not in done.stderr and not (tmp_path / "run").exists()
+
+
+def test_a_reward_of_the_wrong_shape_shows_its_own_line(tmp_path, monkeypatch):
+    """docs/task.md invites people to write one. A bug keeps its traceback, and nothing is kept."""
+
+    def mine(velocity, command):
+        return rewards.flat(velocity, command) + np.zeros(3)
+
+    monkeypatch.setitem(tasks.TASKS, "flat", tasks.TASKS["flat"]._replace(reward=mine))
+    with pytest.raises(ValueError, match="broadcast") as shown:
+        run("--out", tmp_path / "run")
+    assert shown.traceback[-1].name == "mine"
+    assert set(contents(tmp_path / "run")) <= {"lock"}
+
+
+OTHER_LOGS = {
+    "another column": lambda text: text.replace("reward", "mine", 1),
+    "a row less": lambda text: "".join(text.splitlines(True)[:-1]),
+    "half a row": lambda text: text[:-9],
+    "binary": lambda text: "\xff\x00",
+}
+
+
+@pytest.mark.parametrize("change", OTHER_LOGS.values(), ids=OTHER_LOGS)
+def test_a_log_that_does_not_fit_is_set_aside(copied, capsys, change):
+    """It is not worth a run. A new one begins with the next iteration."""
+    log = copied / "metrics.csv"
+    log.write_text(changed := change(log.read_text()), newline="")
+    resume(copied, "--iterations", 21)
+    assert (copied / "metrics.old.csv").read_text() == changed
+    assert [row[0] for row in rows(copied)] == ["iteration", "21"]
+    assert "metrics.csv does not fit" in capsys.readouterr().out
+
+
+def test_a_picture_that_cannot_be_drawn_is_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(metrics, "draw_curves", lambda folder: 1 / 0)
+    run("--out", tmp_path / "run")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("train.py: no picture")
+
+
+def test_a_start_that_trains_nothing_records_nothing(copied):
+    before = contents(copied)
+    resume(copied)
+    assert contents(copied) == before
+
+
+def test_other_versions_and_settings_of_jax_are_a_line(copied, capsys, monkeypatch):
+    """Random keys of another kind cannot go on."""
+    resume(copied, "--iterations", 21)
+    assert capsys.readouterr().err == ""
+    now = run_folder.surroundings()
+    monkeypatch.setattr(run_folder, "surroundings", lambda: now | dict(numpy="0.1"))
+    resume(copied, "--iterations", 22)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"last digits will differ: numpy was {now['numpy']} and is 0.1")
+    with jax.default_prng_impl("rbg"):
+        said = error_of(capsys, train.main, "--out", copied, "--resume", "--iterations", 23)
+    assert "checkpoint.npz" in said and "shape (2,)" in said
+
+
+def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
+    """A copy in somebody else's repository has none of its own."""
+    for command in ("init -q", "commit -q --allow-empty -m x"):
+        user = ["-c", "user.name=x", "-c", "user.email=x"]
+        subprocess.run(["git", *user, *command.split()], cwd=tmp_path, check=True)
+    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "run_folder.py"))
+    assert run_folder.commit() == "unknown"
+    (tmp_path / "run_folder.py").touch()
+    assert run_folder.commit() == "unknown"
+    subprocess.run(["git", "add", "."], cwd=tmp_path, check=True)
+    assert run_folder.commit().endswith("+")
+
+
 @pytest.mark.parametrize("file", ["checkpoint.npz", "config.json"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(copied, capsys, file, damage):
@@ -259,7 +361,7 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, began_with, 
     monkeypatch.delenv("PJRT_NPROC", raising=False)
     if given:
         monkeypatch.setenv("PJRT_NPROC", given)
-    train.pin_jax_threads(began_with)
+    train.settle_jax(run_folder.surroundings() | dict(PJRT_NPROC=began_with) if began_with else {})
     assert os.environ["PJRT_NPROC"] == now
     said = capsys.readouterr().err
     assert says in said and bool(says) == bool(said)

@@ -32,6 +32,7 @@ from support import TINY
 import evaluate
 import play
 import train
+from lab import record
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -189,7 +190,9 @@ def copied(copy):
 
 
 def test_the_new_task_trains_as_the_page_says(tmp_path):
-    """Section 14, done to the letter: function, entry and test appended, one iteration trained."""
+    """Section 14, done to the letter: function, entry and test appended, one iteration trained. The
+    evaluation asks it to turn.
+    """
     copy = copied(tmp_path / "copy")
     (block,) = [code for code in blocks("python") if "def turn(" in code]
     function, entry, test, *_ = block.split("\n\n")
@@ -205,10 +208,14 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     tested += ["tests/paper/test_3_rewards.py"]
     trained = [sys.executable, "train.py", "--task", "turn", *TINY, "--iterations", "1"]
     trained += ["--out", "run"]
-    for command in (tested, trained):
+    evaluated = [sys.executable, "evaluate.py", "run", "--episodes", "11"]
+    kept = [sys.executable, "-m", "lab", "add", "run", "--results", "kept", "--episodes", "11"]
+    for command in (tested, trained, evaluated, kept):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
-    assert (copy / "run" / "policy.npz").exists()
+    (row,) = record.read(copy / "kept/turn/runs.csv")
+    asked = {float(x["asked_yaw"]) for x in record.read(copy / "kept/turn/episodes.csv.gz")}
+    assert row["run"] == "run" and asked == {x / 10 for x in range(11)}
 
 
 SABOTAGE = re.compile(r"# \d+\. .*\n@@ (\S+), caught by (\w+) @@\n((?:[-+].*\n)+)> (assert .*)\n")

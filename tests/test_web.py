@@ -119,7 +119,7 @@ def test_a_taken_port_is_one_line(tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         says = error_of(capsys, play.main, make_run(tmp_path / "run"), "--web", "--port", port)
-    assert str(port) in says
+    assert "in use" in says
 
 
 def test_an_older_mujoco_is_one_line(tmp_path, capsys, monkeypatch):

@@ -147,15 +147,17 @@ def test_velocity_over_ground_and_in_the_body_frame():
     assert motion.rates[0] == pytest.approx([0.25 * sin, 0, 0.25 * cos])
 
 
-@pytest.mark.parametrize(("frame", "value"), [("heading", 1.5), ("body", E1 + 0.5)])
+@pytest.mark.parametrize(("frame", "value"), [("heading", 1.5), ("body", 1.5 * E1)])
 def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
-    """Nose up by 60 degrees and 1 m/s over ground, as asked: Eq. (5) gives 1.5. In the body frame
-    v_x is cos 60 = 1/2. The log has the speed over ground in either case.
+    """Nose up by 60 degrees, 1 m/s and 1 rad/s over ground, as asked: Eq. (5) gives 1.5. In the
+    body frame v_x and the yaw rate are cos 60 = 1/2 of it, so both kernels are 1/e. The log has the
+    speed over ground in either case.
     """
     env = make(1, velocity_frame=frame, **FROZEN)
     nose_up = Rotation.from_euler("Y", -60, degrees=True)
-    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0))
-    env.state.command[:] = 1.0, 0.0, 0.0
+    rates = nose_up.apply([0.0, 0.0, 1.0], inverse=True)
+    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0), rates=rates)
+    env.state.command[:] = 1.0, 0.0, 1.0
     _, reward, _, _, info = still(env)
     assert reward == pytest.approx([value], abs=1e-4)
     assert info["log"]["v_x"] == pytest.approx([1.0], abs=1e-6)

@@ -51,6 +51,19 @@ def test_networks_init_range():
     assert 0.23 < abs(first.bias).max() <= 0.25 and abs(last.weights[0]).max() <= 0.125
 
 
+@pytest.mark.parametrize(("is_mirrored", "halves"), [(False, 1), (True, 2)])
+def test_networks_have_the_widths_of_their_flags(is_mirrored, halves):
+    """IV-C.b: actor and critic have the same, the estimator its own. A half has half of them."""
+    env = make(1, history=1)
+    cfg = replace(EIPO.ppo, hidden=(16, 12, 8), hidden_estimator=(6, 4))
+    params = ppo.init_learner(np.random.default_rng(0), env, 2, is_mirrored, cfg).params
+    widths = {
+        name: [halves * layer.weights[0].shape[1] for layer in params[name][:-1]]
+        for name in ("actor", "critic", "estimator")
+    }
+    assert widths == dict(actor=[16, 12, 8], critic=[16, 12, 8], estimator=[6, 4])
+
+
 def test_networks_who_sees_what():
     """The actor sees the estimate, and the critic sees the truth. obs = 3, privileged = 5:
 
@@ -371,6 +384,20 @@ def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples(
     assert float(loss) == pytest.approx(5 / 2 + 21 / 8 - 0.014189385, rel=1e-6)
 
 
+def test_algorithm1_line09_ppo_loss_entropy_of_two_joints():
+    """Deviations 2 and 4, an advantage of 0, and no other error:
+
+    entropy   log(2 pi e) + log 2 + log 4 = 2.8378771 + 2.0794415 = 4.9173186
+    loss      -0.01 * 4.9173186
+    """
+    params = handmade(actor=((0.0, 0.0), (0.0, 0.0))) | dict(log_std=np.log([2.0, 4.0]))
+    pi = plain_learner(params)
+    batch = dict(obs=jnp.zeros((3, 1)), privileged=jnp.zeros((3, 1)), action=jnp.zeros((3, 2)))
+    batch |= dict(target=jnp.zeros((3, 1)), advantage=jnp.zeros(3), log_prob=jnp.zeros(3))
+    loss, _ = ppo.ppo_loss(pi.params, batch, pi.bases, EIPO.ppo)
+    assert float(loss) == pytest.approx(-0.049173186, rel=1e-6)
+
+
 def advantages(seed):
     return dyadic(np.random.default_rng(seed), 8, 16)
 
@@ -423,6 +450,17 @@ def test_algorithm1_line09_ppo_normalises_the_advantage():
     assert not trees_equal(usual, one_update(advantage=-advantages(3))[0])
     small = one_update(advantage=advantages(3) / 1024)[0]["log_std"]
     assert float(small[0]) == pytest.approx(float(usual["log_std"][0]), abs=1e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_algorithm1_line09_ppo_normalises_over_steps_and_robots_together(axis):
+    """Advantages of 1 and -1, alike in all steps or for all robots, have mean 0 and deviation 1
+    already. Normalised over steps or robots alone they would be 0, and teach the actor nothing.
+    """
+    signs = np.where(np.indices((8, 16))[axis] % 2, 1, -1).astype(np.float32)
+    learned, nothing = (one_update(advantage=x)[0]["actor"] for x in (signs, 0 * signs))
+    moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), learned, nothing)
+    assert max(jax.tree.leaves(moved)) > 0.01
 
 
 def test_algorithm1_line09_ppo_shuffles_the_minibatches():
