@@ -6,14 +6,14 @@ which is Algorithm 1 without pi_prime. What they call follows in the order of th
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
-    lam             lambda_0, the weight of F in Eq. (2) with which training starts
     alpha           the multiplier of Eq. (4), the weight of J. It starts at 1 / lam (D6)
+    lam             lambda_0 of EIPO, or for PPO lambda, the weight of F in Eq. (2)
     T, N            steps of a rollout, and number of environments
     D, P, A, K      widths, see `networks.py`
 
-An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `frame_size`,
-`privileged_size`, `action_size` and `mirror`, as `go1_env.Go1Env` documents them. `train.py` makes
-one for each policy, and picks the algorithm. No robot, no file and no other process is known here.
+An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
+`action_size`, as `go1_env.Go1Env` documents them. `train.py` makes one for each policy, and picks
+the algorithm. No robot and no file is known here.
 The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning
 are compiled. D6 is entry D6 of `deviations.md`, where we depart from the paper.
 """
@@ -34,7 +34,7 @@ from ppo import Learner, PPOConfig, init_learner, ppo_update
 class Config(PPOConfig):
     """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
-    algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed alpha
+    algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed lambda
     lam: float = 0.005  # [V-A] EIPO: lambda_0, alpha starts at 1 / lam; PPO: lambda of Eq. (2)
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
     num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half
@@ -49,6 +49,11 @@ class Config(PPOConfig):
     def ppo(self):
         """The part with which a learner is compiled, so that a new seed or lam compiles nothing."""
         return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
+
+    @property
+    def cost_scale(self):
+        """Factor on f in what the critic learns, near which lam f is as large as r (D10)."""
+        return self.lam or 1e-6  # PPO without energy has no use for f
 
 
 class Dual(NamedTuple):
@@ -65,7 +70,7 @@ class State(NamedTuple):
     key: jax.Array  # (2,) from which `iteration_keys` makes the random keys of every iteration
     pi: Learner
     pi_prime: Learner | None  # None for PPO
-    dual: Dual
+    dual: Dual | None  # None for PPO
 
 
 class Transition(NamedTuple):
@@ -86,8 +91,8 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout."""
 
-    advantage: jax.Array  # (T, N, K) of each stream, not normalised yet
-    target: jax.Array  # (T, N, K) advantage + value: the critic learns it, its mean estimates J
+    advantage: jax.Array  # (T, N, K) of r and of f, not normalised yet
+    target: jax.Array  # (T, N, K) of r and of cost_scale f: the critic learns it, its mean is J
 
 
 # ---- Algorithm 1 ----
@@ -110,18 +115,18 @@ def eipo(env, env_prime, cfg, state=None):
         tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi, tau, cfg.lam, cfg.ppo)
-        advantage = mix(est.advantage, dual.alpha, cfg.lam)  # Alg.1 L8
+        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo)
+        advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
         pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime, tau_prime, cfg.lam, cfg.ppo)  # Alg.1 L10
+        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.ppo)  # Alg.1 L10
         advantage_prime = est_prime.advantage[..., 0]
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
             pi_prime, tau_prime, est_prime, advantage_prime, key_update_prime, cfg.ppo
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        metrics = summary(est, dual, cfg) | dict(gap=gap) | log | losses
+        metrics = summary(est, dual.alpha, 1) | dict(alpha=dual.alpha, gap=gap) | log | losses
         metrics |= {f"prime_{name}": x for name, x in (log_prime | losses_prime).items()}
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
         yield State(iteration, state.key, pi, pi_prime, dual), metrics
@@ -132,15 +137,13 @@ def ppo(env, cfg, state=None):
     """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
     state = state or init_state(env, None, cfg)
     pi = state.pi
-    dual = state.dual
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
-        est = estimate(pi, tau, cfg.lam, cfg.ppo)
-        advantage = mix(est.advantage, dual.alpha, cfg.lam)  # alpha stays as it is
+        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo)
+        advantage = mix(est.advantage, 1, cfg.lam)
         pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)
-        metrics = summary(est, dual, cfg) | log | losses
-        yield State(iteration, state.key, pi, None, dual), metrics
+        yield State(iteration, state.key, pi, None, None), summary(est, 1, cfg.lam) | log | losses
 
 
 def iteration_keys(key, iteration):
@@ -148,17 +151,13 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, dual, cfg):
-    """Metrics of an iteration: J(pi), alpha, and the task's share of pi's objective.
+def summary(est, task, cost):
+    """Metrics of an iteration: J(pi), and the task's share of pi's objective, weighed as in `mix`.
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1, alpha no longer matters.
     """
-    share = 1.0
-    if cfg.lam:
-        task, cost = est.advantage.std((0, 1))
-        weighed = dual.alpha * cfg.lam * task  # as in `mix`
-        share = weighed / (weighed + cost + 1e-30)
-    return dict(J=estimate_J(est), alpha=dual.alpha, task_share=share)
+    task, cost = est.advantage.std((0, 1)) * jnp.array([task, cost])
+    return dict(J=estimate_J(est), task_share=task / (task + cost + 1e-30))
 
 
 # ---- L3, L4: the start ----
@@ -169,14 +168,15 @@ def init_state(env, env_prime, cfg):
 
     env_prime: None for PPO
     """
+    key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
-    pi, pi_prime = init_learner(rng, env, 2, cfg.mirror, cfg.ppo), None
     env.reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
-    if env_prime is not None:
-        pi_prime = init_learner(rng_prime, env_prime, 1, cfg.mirror, cfg.ppo)
-        env_prime.reset(2 * cfg.seed + 1)
-    alpha = 1 / cfg.lam if cfg.lam else np.inf
-    return State(0, jax.random.PRNGKey(cfg.seed), pi, pi_prime, Dual(alpha, 0.0))
+    pi = init_learner(rng, env, ("reward", "cost"), cfg.ppo)
+    if env_prime is None:
+        return State(0, key, pi, None, None)
+    env_prime.reset(2 * cfg.seed + 1)
+    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.ppo)
+    return State(0, key, pi, pi_prime, Dual(1 / cfg.lam, 0.0))
 
 
 # ---- L6, L7: rollouts ----
@@ -185,7 +185,7 @@ def init_state(env, env_prime, cfg):
 @jax.jit
 def act(pi, obs, key, t):
     """Random actions (N, A) for obs (N, D) in step t of a rollout, and their log-probabilities."""
-    return sample(pi.params, obs, jax.random.fold_in(key, t), pi.bases)
+    return sample(pi.params, obs, jax.random.fold_in(key, t))
 
 
 def rollout(env, pi, key, cfg):
@@ -221,20 +221,20 @@ def rollout(env, pi, key, cfg):
 
 
 @partial(jax.jit, static_argnames="cfg")
-def estimate(pi, tau, lam, cfg):
-    """The Estimate of a rollout, in which the streams r and lam f stay apart.
+def estimate(pi, tau, cost_scale, cfg):
+    """The Estimate of a rollout, in which the streams of pi, r and f or r alone, stay apart.
 
-    GAE is linear, so that their advantages can be mixed later (L8). cfg: PPOConfig
+    GAE is linear, so that their advantages can be mixed later (L8). The critic learns r and
+    cost_scale f, which are of comparable size. cfg: PPOConfig
     """
-    values = value(pi.params, tau.obs, tau.privileged, pi.bases)
-    next_values = value(pi.params, tau.next_obs, tau.next_privileged, pi.bases)
-    streams = jnp.stack([tau.reward, lam * tau.cost], -1)
-    streams = streams[..., : values.shape[-1]]  # the critic of pi_prime knows no cost
+    values = value(pi.params, tau.obs, tau.privileged)
+    next_values = value(pi.params, tau.next_obs, tau.next_privileged)
+    streams = jnp.stack([getattr(tau, name) for name in pi.streams], -1)
+    scale = jnp.array([cost_scale if name == "cost" else 1.0 for name in pi.streams])
     ends = tau.terminated[..., None], tau.truncated[..., None]
-    advantage = gae(
-        cfg.reward_scale * streams, values, next_values, *ends, cfg.gamma, cfg.gae_lambda
-    )
-    return Estimate(advantage, advantage + values)
+    reward = cfg.reward_scale * scale * streams
+    advantage = gae(reward, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
+    return Estimate(advantage / scale, advantage + values)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
@@ -257,15 +257,13 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
     return jax.lax.scan(backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True)[1]
 
 
-def mix(advantage, alpha, lam):
-    """Advantage (T, N) of alpha J - F, Eq. (4), up to a positive factor (D6). Line 8.
+def mix(advantage, task, cost):
+    """Advantage (T, N) of task J - cost F. Line 8.
 
-    advantage: (T, N, 2) of the streams r and lam f
-
-    The weights alpha lam and -1 give lam (alpha A_r - A_f). With alpha = 1 / lam this is
-    A_r - lam A_f, as in Eq. (2). With lam = 0, alpha is infinite and the task alone counts.
+    advantage:  (T, N, 2) of r and of f
+    task, cost: weights, which are alpha and 1 in Eq. (4), and 1 and lambda in Eq. (2)
     """
-    return advantage[..., 0] if lam == 0 else alpha * lam * advantage[..., 0] - advantage[..., 1]
+    return task * advantage[..., 0] - cost * advantage[..., 1]
 
 
 def estimate_J(est):

@@ -1,116 +1,121 @@
-"""The coordinates in which an MLP that keeps to the robot's mirror symmetry costs half (D28).
+"""An environment in coordinates in which the robot's mirror changes signs alone (D28).
 
 The mirror M of a Go1 swaps its right and left legs and negates what points sideways. Robot and
 tasks are symmetric, but for some millimetres (D28). So is Eq. (9) with the power clip, but not with
 the torque clip (D3). So a policy loses nothing if it commutes with M, that is, if
 pi(M s) = M pi(s).
 
-An MLP commutes with M if its hidden units come in pairs (right, left) that M swaps. Each pair has
-an even coordinate, (right + left) / sqrt 2, which M keeps, and an odd one, (right - left) / sqrt 2,
-which M negates. A linear layer that commutes maps even coordinates to even ones and odd to odd
-ones, and all other weights are zero. So one product of n x m becomes two of n/2 x m/2.
+In the coordinates (right + left) / sqrt 2 and (right - left) / sqrt 2 the mirror keeps the first
+kind, which is even, and negates the second, which is odd. A linear layer that commutes with M maps
+even to even and odd to odd, and all its other weights are zero. So one product of n x m becomes two
+of n/2 x m/2, which `networks.mlp` takes.
 
-In these coordinates an array is a list of two halves, [even, odd], and a basis is a tuple of two
-matrices with orthonormal columns, one for each half. For a plain MLP both have a single entry, and
-the code is the same.
+`Mirrored` shows what an environment shows in these coordinates, the even ones first, and turns
+actions back. Whoever learns from it sees plain arrays. Without it everything works as well, with
+networks that know no mirror.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
-
-class Bases(NamedTuple):
-    """The coordinates of what a policy sees and does. Nothing here is learned."""
-
-    frame: tuple  # basis of one frame of the observation, which is a row of such frames
-    privileged: tuple  # basis of the privileged part of a state
-    action: tuple  # basis of an action
-    pair: np.ndarray  # (A,) for each entry of an action, the number of its pair
-
-
-def make_bases(mirror, frame_size, privileged_size, action_size):
-    """The Bases of a mirror, or with None those of plain MLPs.
-
-    mirror: {"frame", "privileged", "action"}, each (index, sign): (M x)[i] = sign[i] x[index[i]]
-    """
-    if mirror is None:
-        sizes = frame_size, privileged_size, action_size
-        return Bases(*map(plain_basis, sizes), np.arange(action_size))
-    index = np.array(mirror["action"][0])
-    pair = np.unique(np.minimum(np.arange(len(index)), index), return_inverse=True)[1]
-    return Bases(*(basis(*mirror[name]) for name in ("frame", "privileged", "action")), pair)
+from networks import beside, sum_and_difference
 
 
 def basis(index, sign):
-    """The basis of even and odd coordinates for M with (M x)[i] = sign[i] x[index[i]]."""
+    """Even and odd coordinates for M with (M x)[i] = sign[i] x[index[i]]: two matrices (n, m).
+
+    Their columns are orthonormal.
+    """
     index, here = np.array(index), np.arange(len(index))
     identity = np.eye(len(index))
     reflection = np.array(sign)[:, None] * identity[index]
     halves = [(identity + s * reflection)[:, here <= index] for s in (1, -1)]  # one column per pair
     halves = [half[:, half.any(0)] for half in halves]  # an entry without a partner is even or odd
-    return tuple((half / np.linalg.norm(half, axis=0)).astype(np.float32) for half in halves)
+    return [(half / np.linalg.norm(half, axis=0)).astype(np.float32) for half in halves]
 
 
-def plain_basis(n):
-    """The basis of an array (..., n) without a mirror: every entry is its own coordinate."""
-    return (np.eye(n, dtype=np.float32),)
+class Mirrored:
+    """An environment in even and odd coordinates.
 
-
-def split(x, basis):
-    """The coordinates of x (..., n) in a basis: a list of halves (..., m)."""
-    return [x @ half for half in basis]
-
-
-def split_frames(obs, basis):
-    """The coordinates of obs (..., H n), which is H frames of n entries, in a frame's basis."""
-    frames = obs.reshape(*obs.shape[:-1], -1, len(basis[0]))
-    return [half.reshape(*obs.shape[:-1], -1) for half in split(frames, basis)]
-
-
-def join(halves, basis):
-    """The x (..., n) with these coordinates: the inverse of `split`."""
-    return sum(half @ columns.T for half, columns in zip(halves, basis, strict=True))
-
-
-def sum_and_difference(halves):
-    """[right, left] hidden units from [even, odd], or back, as this is its own inverse."""
-    if len(halves) == 1:
-        return halves
-    first, second = halves
-    return [(first + second) / np.sqrt(2), (first - second) / np.sqrt(2)]
-
-
-def dense(layers, basis_in, basis_out):
-    """The layers [(weights (n, m), bias (m,))] of the plain MLP that equals `layers`.
-
-    basis_in, basis_out: of what enters the first layer and of what leaves the last
+    A size is two numbers: how many coordinates are even and how many are odd. In obs (N, D) the
+    even ones of all frames come first.
     """
-    plain = []
+
+    def __init__(self, env):
+        """env: as go1_env.Go1Env, whose `mirror` has index and sign of frame, privileged, action"""
+        self.env, self.num_envs = env, env.num_envs
+        frame, privileged, action = (
+            basis(*env.mirror[name]) for name in ("frame", "privileged", "action")
+        )
+        history = env.obs_size // len(frame[0])
+        self.obs_size = [history * half.shape[1] for half in frame]
+        self.privileged_size = [half.shape[1] for half in privileged]
+        self.action_size = [half.shape[1] for half in action]
+        self.frame = frame
+        self.privileged, self.action = np.hstack(privileged), np.hstack(action)
+
+    def reset(self, seed):
+        """Start new episodes. Returns obs and an empty info."""
+        self.env.reset(seed)
+        return self.observe()[0], {}
+
+    def observe(self):
+        """obs (N, D) and the privileged part (N, P), in these coordinates."""
+        return self.turned(*self.env.observe())
+
+    def step(self, action):
+        """As that of the environment; action (N, A), obs and what is final in these coordinates."""
+        _, *result, info = self.env.step(action @ self.action.T)
+        final = self.turned(info["final_obs"], info["final_privileged"])
+        info |= dict(zip(("final_obs", "final_privileged"), final, strict=True))
+        return self.observe()[0], *result, info
+
+    def turned(self, obs, privileged):
+        """obs (N, D) and the privileged part (N, P) of a plain environment in these coordinates."""
+        frames = obs.reshape(len(obs), -1, len(self.frame[0]))
+        halves = [(frames @ half).reshape(len(obs), -1) for half in self.frame]
+        return np.hstack(halves), privileged @ self.privileged
+
+
+def coordinates(env):
+    """What an environment shows of a plain one: obs (D, D), privileged (P, P), action (A, A).
+
+    A column is a coordinate. Without a mirror these are identities.
+    """
+    if not isinstance(env, Mirrored):
+        return [np.eye(n) for n in (env.obs_size, env.privileged_size, env.action_size)]
+    history = np.eye(env.env.obs_size // len(env.frame[0]))
+    obs = np.hstack([np.kron(history, half) for half in env.frame])
+    return obs, env.privileged, env.action
+
+
+def plain_policy(params, env):
+    """The policy that learned from env as plain MLPs, for what is not mirrored.
+
+    Returns layers [(W (n, m), b (m,)), ...] of actor and estimator, by name.
+    """
+    obs, privileged, action = coordinates(env)
+    none = np.zeros((len(obs), len(privileged)))
+    state = np.vstack([beside(params, obs, none), beside(params, none.T @ obs, privileged)])
+    return dict(
+        actor=plain(params["actor"], state, action),
+        estimator=plain(params["estimator"], obs, privileged),
+    )
+
+
+def plain(layers, enter, leave):
+    """The layers [(W (n, m), b (m,)), ...] of the plain MLP that equals `layers`.
+
+    enter, leave: (n, n) and (m, m), whose columns are coordinates of what enters and what leaves
+    """
+    result = []
     for i, layer in enumerate(layers):
-        is_last = i + 1 == len(layers)
-        out = basis_out if is_last else hidden_basis(len(layer.bias), len(layer.weights))
-        parts = zip(basis_in, layer.weights, out, strict=True)
-        weights = sum(a @ np.asarray(w) @ b.T for a, w, b in parts)
-        plain.append((weights, out[0] @ np.asarray(layer.bias)))
-        basis_in = out
-    return plain
-
-
-def hidden_basis(n, num_halves):
-    """The basis of n right and then n left hidden units or, with one half, of n plain ones."""
-    one = np.eye(n, dtype=np.float32)
-    if num_halves == 1:
-        return (one,)
-    return np.vstack([one, one]) / np.sqrt(2), np.vstack([one, -one]) / np.sqrt(2)
-
-
-def row_of_frames(basis, history):
-    """The basis of `history` frames side by side, from that of one."""
-    return tuple(np.kron(np.eye(history, dtype=np.float32), half) for half in basis)
-
-
-def side_by_side(first, second):
-    """The basis of two arrays side by side, from those of each."""
-    return tuple(block_diag(a, b).astype(np.float32) for a, b in zip(first, second, strict=True))
+        weights = block_diag(*layer.weights)
+        bias = np.pad(layer.bias, (0, weights.shape[1] - len(layer.bias)))
+        if i + 1 < len(layers):  # hidden units are right ones, then left ones
+            here = np.hstack(sum_and_difference(np.split(np.eye(len(bias)), len(layer.weights), 1)))
+        else:
+            here = leave
+        result.append((enter @ weights @ here.T, bias @ here.T))
+        enter = here
+    return result

@@ -1,12 +1,12 @@
 """Actor, critic and estimator (Section IV-C.b): MLPs as functions of their parameters.
 
-Between the layers an array is a list of halves, as `mirror.py` explains (D28): two where the
-robot's mirror ties the weights, one in a plain MLP.
-
-params    {"actor", "critic", "estimator": [Layer, ...], "log_std": (pairs of action entries,)}
-bases     mirror.Bases, which turn observations and actions into halves and back
+params    {"actor", "critic", "estimator": [Layer, ...], "log_std": of the action's noise}
 D, P, A   widths of an observation, of the privileged part of a state and of an action
 K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
+
+Where the robot's mirror ties the weights, arrays have their even entries first, as `mirror.py`
+explains (D28). A layer then has a matrix for those and another for the odd ones, and a size, which
+otherwise is a number, is a pair.
 """
 
 from itertools import pairwise
@@ -17,60 +17,58 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.stats import norm
 
-from mirror import (
-    dense,
-    join,
-    row_of_frames,
-    side_by_side,
-    split,
-    split_frames,
-    sum_and_difference,
-)
-
 
 class Layer(NamedTuple):
-    """A linear layer. Right and left units share a bias, so it has no odd half."""
+    """A linear layer. Right and left units share a bias, so the odd entries have none."""
 
-    weights: tuple  # one matrix (n, m) per half
-    bias: jax.Array  # (m,) of the even half, or of the only one
+    weights: tuple  # of one matrix (n, m), or of two, for even and for odd entries
+    bias: jax.Array  # (m,) of the first
 
 
-def mlp(layers, halves):
-    """Outputs of an MLP, with ELU between the layers."""
+def mlp(layers, x):
+    """Outputs (..., m) of an MLP for inputs (..., n), with ELU between the layers."""
+    halves = jnp.split(x, [len(weights) for weights in layers[0].weights[:-1]], -1)
     for i, layer in enumerate(layers):
         if i:  # ELU acts on the right and left units themselves
             halves = sum_and_difference([jax.nn.elu(x) for x in sum_and_difference(halves)])
         halves = [x @ weights for x, weights in zip(halves, layer.weights, strict=True)]
         halves[0] += layer.bias
-    return halves
+    return jnp.concatenate(halves, -1)
 
 
-def policy(params, obs, bases):
+def sum_and_difference(halves):
+    """[right, left] units from [even, odd], or back, as this is its own inverse."""
+    if len(halves) == 1:
+        return halves
+    first, second = halves
+    return [(first + second) / np.sqrt(2), (first - second) / np.sqrt(2)]
+
+
+def policy(params, obs):
     """Mean and deviation (..., A) of the action for obs (..., D), and estimated velocity (..., P).
 
     The actor sees the estimate, but the estimator learns from its own error alone (D19).
     """
-    frames = split_frames(obs, bases.frame)
-    velocity = mlp(params["estimator"], frames)
-    detached = [jax.lax.stop_gradient(half) for half in velocity]
-    inputs = [jnp.concatenate(parts, -1) for parts in zip(frames, detached, strict=True)]
-    mean = join(mlp(params["actor"], inputs), bases.action)
-    std = jnp.exp(params["log_std"])[bases.pair]  # right and left are equally noisy
-    return mean, jnp.broadcast_to(std, mean.shape), join(velocity, bases.privileged)
+    velocity = mlp(params["estimator"], obs)
+    mean = mlp(params["actor"], beside(params, obs, jax.lax.stop_gradient(velocity)))
+    std = jnp.exp(jnp.tile(params["log_std"], len(params["actor"][-1].weights)))
+    return mean, jnp.broadcast_to(std, mean.shape), velocity
 
 
-def value(params, obs, privileged, bases):
-    """The critic's values (..., K) of obs (..., D) with privileged (..., P).
-
-    A mirrored state has the same values, so they are the even half.
-    """
-    seen = split_frames(obs, bases.frame), split(privileged, bases.privileged)
-    return mlp(params["critic"], [jnp.concatenate(x, -1) for x in zip(*seen, strict=True)])[0]
+def value(params, obs, privileged):
+    """The critic's values (..., K) of obs (..., D) with privileged (..., P)."""
+    return mlp(params["critic"], beside(params, obs, privileged))
 
 
-def sample(params, obs, key, bases):
+def beside(params, obs, velocity):
+    """obs and velocity as one array (..., D + P), of which the even entries still come first."""
+    even = params["estimator"][-1].weights[0].shape[1]
+    return jnp.concatenate([velocity[..., :even], obs, velocity[..., even:]], -1)
+
+
+def sample(params, obs, key):
     """Random actions (N, A) of the policy for obs (N, D), and their log-probabilities (N,)."""
-    mean, std, _ = policy(params, obs, bases)
+    mean, std, _ = policy(params, obs)
     action = mean + std * jax.random.normal(key, mean.shape)
     return action, log_prob(mean, std, action)
 
@@ -80,40 +78,38 @@ def log_prob(mean, std, action):
     return norm.logpdf(action, mean, std).sum(-1)
 
 
-def init_params(rng, obs_size, heads, bases, cfg):
+def init_params(rng, env, heads, cfg):
     """Random parameters, drawn by NumPy, because JAX would take seconds to compile as many draws.
 
-    rng: np.random.Generator; heads: K; cfg: ppo.PPOConfig, with the widths of the hidden layers
+    rng:   np.random.Generator
+    env:   its obs_size, privileged_size and action_size count
+    heads: K
+    cfg:   ppo.PPOConfig, with the widths of the hidden layers
     """
-    history = obs_size // len(bases.frame[0])
-    num_halves = len(bases.frame)
-    obs_widths = [history * half.shape[1] for half in bases.frame]
-    velocity_widths = [half.shape[1] for half in bases.privileged]
-    action_widths = [half.shape[1] for half in bases.action]
-    state_widths = [n + m for n, m in zip(obs_widths, velocity_widths, strict=True)]
-    value_widths = [heads, 0][:num_halves]  # a mirrored state has the same value: no odd half
+    sizes = env.obs_size, env.privileged_size, env.action_size
+    obs, privileged, action = map(np.atleast_1d, sizes)
+    values = [heads, 0][: len(obs)]  # a mirrored state has the same value: nothing is odd
 
-    def mlp_widths(inputs, hidden, outputs):
-        return [inputs, *([n // num_halves] * num_halves for n in hidden), outputs]
+    def init(inputs, hidden, outputs):
+        return init_mlp(rng, [inputs, *([n // len(obs)] * len(obs) for n in hidden), outputs])
 
     return dict(
-        actor=init_mlp(rng, mlp_widths(state_widths, cfg.hidden, action_widths)),
-        critic=init_mlp(rng, mlp_widths(state_widths, cfg.hidden, value_widths)),
-        estimator=init_mlp(rng, mlp_widths(obs_widths, cfg.hidden_estimator, velocity_widths)),
-        log_std=np.full(bases.pair.max() + 1, cfg.log_std, np.float32),
+        actor=init(obs + privileged, cfg.hidden, action),
+        critic=init(obs + privileged, cfg.hidden, values),
+        estimator=init(obs, cfg.hidden_estimator, privileged),
+        log_std=np.full(action[0], cfg.log_std, np.float32),  # right and left are equally noisy
     )
 
 
 def init_mlp(rng, widths):
     """Random layers of an MLP, within +- 1 / sqrt(fan-in) as in PyTorch [lab code].
 
-    A half has its own fan-in, as its products have no other inputs.
-
-    widths: of each layer, from the input on, a list with one number for each half
+    widths: of each layer, from the input on, a list with one number, or with those of even and of
+        odd entries. Each has its own fan-in, as its products have no other inputs.
     """
 
     def uniform(fan_in, *shape):
-        scale = np.sqrt(max(fan_in, 1))  # an odd half may be empty
+        scale = np.sqrt(max(fan_in, 1))  # there may be no odd entries
         return (rng.uniform(-1, 1, shape) / scale).astype(np.float32)
 
     layers = []
@@ -121,14 +117,3 @@ def init_mlp(rng, widths):
         weights = tuple(uniform(n, n, m) for n, m in zip(ins, outs, strict=True))
         layers.append(Layer(weights, uniform(ins[0], outs[0])))
     return layers
-
-
-def plain_policy(params, bases):
-    """The same policy as plain MLPs: layers [(W (n, m), b (m,)), ...] of both, and log_std (A,)."""
-    obs_size = sum(len(weights) for weights in params["estimator"][0].weights)
-    obs = row_of_frames(bases.frame, obs_size // len(bases.frame[0]))
-    return dict(
-        actor=dense(params["actor"], side_by_side(obs, bases.privileged), bases.action),
-        estimator=dense(params["estimator"], obs, bases.privileged),
-        log_std=np.asarray(params["log_std"])[bases.pair],
-    )

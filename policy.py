@@ -74,11 +74,17 @@ class Policy:
         history = self.config["history"]
         self.frames = [*self.frames[1:], seen] if self.frames else [seen] * history
         self.steps += 1
-        obs = np.concatenate(self.frames)
-        self.estimate = mlp(self.estimator, obs)
         limit = self.config["action_limit"]
-        self.action = mlp(self.actor, np.concatenate([obs, self.estimate])).clip(-limit, limit)
+        self.action = self.mean(np.concatenate(self.frames)).clip(-limit, limit)
         return self.q_nominal + self.action_scale * self.action
+
+    def mean(self, obs):
+        """Actions (..., 12) [-] without noise for obs (..., H * 44) of any number of robots.
+
+        It leaves the `estimate` (..., 3) [m/s] behind.
+        """
+        self.estimate = mlp(self.estimator, obs)
+        return mlp(self.actor, np.concatenate([obs, self.estimate], -1))
 
 
 def mlp(layers, x):

@@ -4,18 +4,15 @@ It needs no alpha, J or F. It takes one advantage for each sample, in which the 
 are mixed already. The widths D, P, A and K are those of `networks.py`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 
-from mirror import Bases, make_bases
 from networks import init_params, log_prob, policy, value
-from runtime.parallel import shared
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] so that the policy's noise neither vanishes nor explodes
 LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: least the lab's, greatest the paper's (D20)
@@ -40,26 +37,25 @@ class PPOConfig:
     hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
 
 
-class Learner(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Learner:
     """A policy and what its training keeps."""
 
     params: dict  # of the networks, see `networks.py`
-    bases: Bases  # of the robot's mirror, which stay as they are
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
+    streams: tuple = field(metadata=dict(static=True))  # of a rollout, from which it learns
 
 
-def init_learner(rng, env, heads, is_mirrored, cfg):
+def init_learner(rng, env, streams, cfg):
     """A new Learner for an environment, whose networks are random.
 
-    rng:   np.random.Generator
-    heads: K, outputs of the critic: 2 for pi (task, cost), 1 for pi_prime (task)
-    is_mirrored: whether to tie weights by the mirror of the environment, if it has one
+    rng:     np.random.Generator
+    streams: ("reward", "cost") for pi, ("reward",) for pi_prime. The critic has an output for each.
     """
-    mirror = env.mirror if is_mirrored else None
-    bases = make_bases(mirror, env.frame_size, env.privileged_size, env.action_size)
-    params = init_params(rng, env.obs_size, heads, bases, cfg)
-    return Learner(params, bases, jax.jit(optimizer(cfg).init)(params), np.float32(cfg.lr))
+    params = init_params(rng, env, len(streams), cfg)
+    return Learner(params, jax.jit(optimizer(cfg).init)(params), np.float32(cfg.lr), streams)
 
 
 def optimizer(cfg):
@@ -77,20 +73,37 @@ def optimizer(cfg):
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)  # never give up
 
 
+@partial(jax.jit, static_argnames="cfg")
 def ppo_update(learner, tau, est, advantage, key, cfg):
     """All epochs and minibatches of one iteration (L9, L11): the new Learner, and its losses.
 
     tau, est:  eipo.Transition and eipo.Estimate of the rollout
-    advantage: (T, N), mixed. `ppo_epochs` normalises it, once
+    advantage: (T, N), mixed. It is normalised here, once, over steps and robots
     losses:    means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
+    advantage = advantage - advantage.mean()
+    advantage /= jnp.sqrt(jnp.square(advantage).mean()) + 1e-8
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
     data |= dict(target=est.target, advantage=advantage)
+    data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
+
+    def step(carry, chosen):
+        params, opt_state = carry
+        slope, log = gradient(params, data, chosen, cfg)
+        direction, opt_state = optimizer(cfg).update(slope, opt_state)
+        params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
+        params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
+        return (params, opt_state), log
+
+    start = learner.params, learner.opt_state
     minibatches = shuffled(key, advantage.size, cfg)
-    return ppo_epochs(learner, data, minibatches, cfg)
+    (params, opt_state), log = jax.lax.scan(step, start, minibatches)
+    losses = {name: x.mean() for name, x in log.items()}
+    losses |= dict(skipped=opt_state.total_notfinite, lr=learner.lr)
+    lr = adapt_lr(learner.lr, losses["kl"], cfg)
+    return Learner(params, opt_state, lr, learner.streams), losses
 
 
-@partial(jax.jit, static_argnames=("size", "cfg"))
 def shuffled(key, size, cfg):
     """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41)."""
     keys = jax.random.split(key, cfg.num_epochs)
@@ -99,40 +112,23 @@ def shuffled(key, size, cfg):
     return orders[:, :whole].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
 
-@partial(jax.jit, static_argnames="cfg")
-def ppo_epochs(learner, data, minibatches, cfg):
-    """`ppo_update` of data, arrays (T, N, ...) by name, in the order of `minibatches`."""
-    advantage = data["advantage"] - data["advantage"].mean()
-    data = data | dict(advantage=advantage / (jnp.sqrt(jnp.square(advantage).mean()) + 1e-8))
-    data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
+def gradient(params, data, chosen, cfg):
+    """Gradient of `ppo_loss` for a minibatch, and its log.
 
-    def loss(params, data, bases, chosen):
-        return ppo_loss(params, {name: x[chosen] for name, x in data.items()}, bases, cfg)
-
-    def step(carry, chosen):
-        params, opt_state = carry
-        gradient, log = shared(jax.grad(loss, has_aux=True))(params, data, learner.bases, chosen)
-        direction, opt_state = optimizer(cfg).update(gradient, opt_state)
-        params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
-        params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
-        return (params, opt_state), log
-
-    start = learner.params, learner.opt_state
-    (params, opt_state), log = jax.lax.scan(step, start, minibatches)
-    losses = {name: x.mean() for name, x in log.items()}
-    losses |= dict(skipped=opt_state.total_notfinite, lr=learner.lr)
-    lr = adapt_lr(learner.lr, losses["kl"], cfg)
-    return Learner(params, learner.bases, opt_state, lr), losses
+    data: arrays (T * N, ...) by name; chosen: (samples,) which of them
+    """
+    batch = {name: x[chosen] for name, x in data.items()}
+    return jax.grad(ppo_loss, has_aux=True)(params, batch, cfg)
 
 
-def ppo_loss(params, batch, bases, cfg):
+def ppo_loss(params, batch, cfg):
     """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
-    mean, std, velocity = policy(params, batch["obs"], bases)
+    mean, std, velocity = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
-    values = value(params, batch["obs"], batch["privileged"], bases)
+    values = value(params, batch["obs"], batch["privileged"])
     value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
     estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss

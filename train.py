@@ -6,12 +6,10 @@ that was stopped, by Ctrl-C or by kill -9, goes on from its last checkpoint with
 with the same bits as one that was never stopped.
 """
 
-import json
 import os
 import shlex
 import signal
 import sys
-import zlib
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -28,7 +26,8 @@ import numpy as np
 import eipo
 import go1_env
 import tasks
-from runtime import deploy, metrics, parallel, run_folder
+from mirror import Mirrored
+from runtime import deploy, jax_setup, metrics, parallel, run_folder
 from runtime.command import Refused, command
 from runtime.flags import Options, check, parse, settle
 from runtime.interrupt import StopRequest
@@ -59,29 +58,6 @@ def resumed_settings(folder, given, processes):
     return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), began_with
 
 
-def settle_jax(began_with):
-    """Find JAX's device, and say on what last digits depend and is not as when the run began.
-
-    began_with: run_folder.surroundings of then, or {} for a new run. JAX gets as many threads as it
-    had. It reads their number once, before it computes anything.
-    """
-    name = run_folder.JAX_THREADS
-    os.environ.setdefault(name, began_with.get(name, str(go1_env.CORES)))
-    now = run_folder.surroundings()
-    changed = [f"{x} was {was} and is {now[x]}" for x, was in began_with.items() if now[x] != was]
-    if changed:
-        print(f"train.py: last digits will differ: {', '.join(changed)}", file=sys.stderr)
-
-
-def find_device():
-    """Refuse if JAX has nothing to compute on, before anything is written."""
-    try:
-        jax.devices()
-    except (AssertionError, RuntimeError) as error:
-        asked = os.environ.get("JAX_PLATFORMS")
-        raise Refused(f"JAX finds no device, and JAX_PLATFORMS is {asked}. {error}") from None
-
-
 def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
     policies = 2 if cfg.algo == "eipo" else 1
@@ -90,8 +66,11 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def save(folder, state, envs, cfg, is_last):
-    """Write checkpoint, policy and pictures into the run folder; at the end pi_prime's policy."""
+def save(folder, state, envs, shown, cfg, is_last):
+    """Write checkpoint, policy and pictures into the run folder; at the end pi_prime's policy.
+
+    shown: the environments as the policies see them
+    """
     run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index():
         return
@@ -100,37 +79,18 @@ def save(folder, state, envs, cfg, is_last):
         learners |= dict(policy_prime=state.pi_prime)
     for name, learner in learners.items():
         learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
-        deploy.write(folder / f"{name}.npz", learner, envs[0].env_cfg, is_last)
+        deploy.write(folder / f"{name}.npz", learner, shown[0], envs[0].env_cfg, is_last)
     try:
         metrics.draw_curves(folder)
     except Exception as error:  # a picture is not worth a run
         print(f"train.py: no picture of {folder}: {error!r}", file=sys.stderr, flush=True)
 
 
-def check_same_start(*given):
-    """Refuse, on all processes, if they have other flags, versions or settings of JAX."""
-    given = [*given, run_folder.surroundings() | {run_folder.JAX_THREADS: ""}]
-    checksums = parallel.everyone(np.array([zlib.crc32(json.dumps(given).encode())]))
-    if (checksums != checksums[0]).any():
-        raise Refused("the processes have different flags, versions or settings of JAX")
-
-
-def sync_stop_and_curriculum(stop_requested, weights, before):
-    """Whether any process was asked to stop. All get the curriculum of all.
-
-    weights: of this process's curriculum, and as they were `before`, at the last iteration's end
-    """
-    if jax.process_count() == 1:
-        return stop_requested
-    requests, gains = parallel.everyone((np.array([stop_requested]), (weights - before)[None]))
-    before[:] = weights[:] = (before + gains.sum(0)).clip(max=1)
-    return bool(requests.any())
-
-
 def train(folder, envs, cfg, options, command):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
     env_cfg = envs[0].env_cfg
-    shared = envs if jax.process_count() == 1 else [parallel.Shared(env) for env in envs]
+    shown = [Mirrored(env) for env in envs] if cfg.mirror else envs
+    shared = shown if jax.process_count() == 1 else [parallel.Shared(env) for env in shown]
     start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
     if options.resume:
         start = run_folder.load_checkpoint(folder / "checkpoint.npz", start, envs)
@@ -148,14 +108,14 @@ def train(folder, envs, cfg, options, command):
         if is_main and not stop:  # before, there is nothing to record
             run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
         stop = stop or StopRequest()
-        stopped = sync_stop_and_curriculum(stop.requested, weights, weights_before)
+        stopped = parallel.sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs
         row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
         if is_main:
             log.add(state.iteration, row)
         is_last = stopped or state.iteration == cfg.iterations
         if is_last or state.iteration % options.checkpoint_every == 0:
-            save(folder, state, envs, cfg, is_last)
+            save(folder, state, envs, shown, cfg, is_last)
         if stopped:
             return state.iteration
 
@@ -171,21 +131,23 @@ def prepare(options, given_env, given_learner):
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
     check(env_cfg, cfg, options.processes or 1)
-    settle_jax(began_with)
+    jax_setup.restore(began_with)
     return folder, env_cfg, cfg
 
 
 @command("train.py")
 def main(argv):
     """Parse, train, report. Returns the exit status."""
+    jax_setup.plain_products()
     given_options, *given = parse(argv)
     options = Options(**given_options)
     typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
     is_main = not options.process
     folder, env_cfg, cfg = prepare(options, *given)
     with parallel.together(options.coordinator, options.processes, options.process):
-        find_device()
-        check_same_start(*given, options.resume, options.checkpoint_every)
+        jax_setup.find_device()
+        here = jax_setup.surroundings() | {jax_setup.THREADS: "each has its own"}
+        parallel.check_same_start(*given, options.resume, options.checkpoint_every, here)
         envs = make_envs(env_cfg, cfg, options.threads)
         with run_folder.lock(folder) if is_main else nullcontext():
             stopped = train(folder, envs, cfg, options, typed)

@@ -10,7 +10,7 @@ import numpy as np
 
 import go1
 import go1_env
-import networks
+import mirror
 import policy
 import tasks
 from runtime import run_folder
@@ -25,18 +25,21 @@ ROBOT = dict(  # what a policy has to know of its robot
 )
 
 
-def of_learner(learner, env_cfg):
-    """The Policy of an eipo.Learner, without a trace."""
+def of_learner(learner, env, env_cfg):
+    """The Policy of an eipo.Learner that learned from env, without a trace."""
+    pairs = learner.params["log_std"]
+    halves = np.tile(pairs, sum(np.atleast_1d(env.action_size)) // len(pairs))
     return policy.Policy(
-        **networks.plain_policy(learner.params, learner.bases),
+        **mirror.plain_policy(learner.params, env),
+        log_std=halves,
         **ROBOT,
         config=asdict(env_cfg),
     )
 
 
-def write(path, learner, env_cfg, last):
-    """Write policy.npz; last: whether the run ends here, so that the file gets its trace."""
-    pi = of_learner(learner, env_cfg)
+def write(path, learner, env, env_cfg, last):
+    """Write policy.npz; env: what it learned from; last: whether the file gets its trace."""
+    pi = of_learner(learner, env, env_cfg)
     if last:
         pi.trace = trace(pi, env_cfg)
     run_folder.replace_file(path, lambda file: policy.save(file, pi))

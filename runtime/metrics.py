@@ -77,8 +77,11 @@ def summary(row, first, iterations):
         f"{row['iteration']}/{iterations}  {row['steps_per_s']:.0f} steps/s  "
         + (f"{seconds / 60:.0f} min left  " if timed else "")
         + f"task {task:.2f}  v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  "
-        + f"alpha {row['alpha']:.1f}"
-        + (f"  share {row['task_share']:.2f}  gap {row['gap']:+.2f}" if "gap" in row else "")
+        + (
+            f"alpha {row['alpha']:.1f}  share {row['task_share']:.2f}  gap {row['gap']:+.2f}"
+            if "gap" in row
+            else ""
+        )
     )
 
 

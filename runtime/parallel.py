@@ -1,16 +1,17 @@
 """One run on several processes. Each steps its share of the robots. All hold all samples and the
 same learner, and share the arithmetic of every minibatch.
 
-On one process nothing here does anything. On several, `Shared` shows the algorithm an environment
-of all robots, and `shared` divides the gradient of each minibatch. Nothing else of the algorithm
-knows of processes. `jax.distributed` connects them: Gloo between CPUs, NCCL between GPUs. A process
-takes the first device that it sees.
+`Shared` shows the algorithm an environment of all robots, and `join` puts a mean over the processes
+in the place of `ppo.gradient`. The algorithm itself knows nothing of them. `jax.distributed`
+connects them: Gloo between CPUs, NCCL between GPUs. A process takes the first device that it sees.
 """
 
+import json
 import os
 import socket
 import sys
 import traceback
+import zlib
 from contextlib import contextmanager
 
 import jax
@@ -19,6 +20,7 @@ from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
+import ppo
 from runtime.command import Refused, complaint
 
 # s in which all processes must have come, and s after which a silent one counts as ended
@@ -47,6 +49,7 @@ def join(coordinator, processes, process):
         jax.distributed.initialize(coordinator, processes, process, **times)
     except (RuntimeError, OSError, OverflowError) as error:
         raise Refused(f"{coordinator}: the processes did not meet there: {error}") from None
+    ppo.gradient = shared(ppo.gradient)
 
 
 @contextmanager
@@ -68,6 +71,25 @@ def together(*meeting):
         os._exit(2)
 
 
+def check_same_start(*given):
+    """Refuse, on all processes, if what they were given differs. What is given must suit JSON."""
+    checksums = everyone(np.array([zlib.crc32(json.dumps(given).encode())]))
+    if (checksums != checksums[0]).any():
+        raise Refused("the processes have different flags, versions or settings of JAX")
+
+
+def sync_stop_and_curriculum(stop_requested, weights, before):
+    """Whether any process was asked to stop. All get the curriculum of all.
+
+    weights: of this process's curriculum, and as they were `before`, at the last iteration's end
+    """
+    if jax.process_count() == 1:
+        return stop_requested
+    requests, gains = everyone((np.array([stop_requested]), (weights - before)[None]))
+    before[:] = weights[:] = (before + gains.sum(0)).clip(max=1)
+    return bool(requests.any())
+
+
 # ---- what each has, for all ----
 
 
@@ -80,7 +102,7 @@ def everyone(tree):
     rows = np.asarray(multihost_utils.process_allgather(mine))
     parts = np.split(rows, np.cumsum([x.nbytes for x in leaves])[:-1], axis=1)
     return structure.unflatten(
-        np.ascontiguousarray(part).view(x.dtype).reshape(-1, *x.shape[1:])
+        np.ascontiguousarray(part).view(x.dtype).reshape(len(rows) * len(x), *x.shape[1:])
         for part, x in zip(parts, leaves, strict=True)
     )
 
@@ -124,24 +146,22 @@ def sharding(*axes):
     return NamedSharding(mesh, PartitionSpec(*axes))
 
 
-def shared(function):
-    """function(..., chosen) as a mean over the processes, each of which takes its part of chosen.
+def shared(gradient):
+    """`ppo.gradient` as a mean over the processes, each of which takes its part of the minibatch.
 
-    Inside of jit. The results go around as one message, because each message takes its time. On
-    one process this is the function itself.
+    The results go around as one message, because each message takes its time.
     """
-    if jax.process_count() == 1:
-        return function
 
-    def mean(*args):
-        numbers, unravel = ravel_pytree(function(*args))
-        return unravel(jax.lax.pmean(numbers, "process"))
+    def call(params, data, chosen, cfg):
+        def mean(params, data, chosen):
+            numbers, unravel = ravel_pytree(gradient(params, data, chosen, cfg))
+            return unravel(jax.lax.pmean(numbers, "process"))
 
-    def call(*args):
-        cut = (*[PartitionSpec()] * (len(args) - 1), PartitionSpec("process"))
+        everything = PartitionSpec()
         # check_vma=True would add up gradients before `mean` sees them
-        specs = dict(in_specs=cut, out_specs=PartitionSpec(), check_vma=False)
-        return jax.shard_map(mean, mesh=sharding().mesh, **specs)(*args)
+        specs = dict(out_specs=everything, check_vma=False)
+        specs |= dict(in_specs=(everything, everything, PartitionSpec("process")))
+        return jax.shard_map(mean, mesh=sharding().mesh, **specs)(params, data, chosen)
 
     return call
 

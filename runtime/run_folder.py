@@ -31,6 +31,7 @@ import tasks
 from go1_env import CORES
 from runtime import parallel
 from runtime.command import Refused
+from runtime.jax_setup import surroundings
 
 try:
     import fcntl
@@ -38,7 +39,6 @@ except ImportError:
     fcntl = None  # Windows has none: nothing keeps a second process out of a run folder there
 
 FILES = "config.json", "metrics.csv", "checkpoint.npz", "policy.npz", "policy_prime.npz"
-JAX_THREADS = "PJRT_NPROC"  # environment variable with the number of JAX's threads on a CPU
 
 
 @contextmanager
@@ -101,14 +101,6 @@ def commit():
         return found.stdout.strip()
     except (FileNotFoundError, subprocess.CalledProcessError):  # there is no git, or no commit
         return "unknown"
-
-
-def surroundings():
-    """Versions and settings on which the last digits of a run depend, by name, as text."""
-    found = {package: version(package) for package in ("jax", "jaxlib", "numpy", "mujoco")}
-    settings = "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable"
-    found |= {name: str(getattr(jax.config, name)) for name in settings}
-    return found | {JAX_THREADS: os.environ.get(JAX_THREADS, "unset")}
 
 
 def cpu_model():

@@ -17,7 +17,6 @@ import go1
 import go1_env
 import ppo
 import tasks
-from mirror import make_bases
 from networks import Layer
 from runtime import deploy, run_folder
 from runtime.flags import settle
@@ -65,18 +64,20 @@ def plain(weights, bias=0.0):
 def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
     """Parameters of networks without hidden layers, from a row of weights for each input.
 
-    By default an observation, the privileged part and an action are one number each, and V(obs) is
-    obs, whatever is privileged.
+    Inputs are obs first. By default an observation, the privileged part and an action are one
+    number each, and V(obs) is obs, whatever is privileged.
     """
     log_std = np.zeros(len(actor[0]), np.float32)
+    n = len(estimator)  # of an observation; networks.beside puts the other rows first
+    actor, critic = (np.array([*rows[n:], *rows[:n]]) for rows in (actor, critic))
     nets = dict(actor=actor, critic=critic, estimator=estimator)
     return {name: [plain(weights)] for name, weights in nets.items()} | dict(log_std=log_std)
 
 
-def plain_learner(params):
-    """The Learner of such parameters, which has no mirror."""
-    sizes = *params["estimator"][0].weights[0].shape, len(params["log_std"])
-    return ppo.Learner(params, make_bases(None, *sizes), None, None)
+def learner_of(params):
+    """The Learner of such parameters. With one head it learns from the reward alone."""
+    heads = params["critic"][-1].weights[0].shape[1]
+    return ppo.Learner(params, None, None, ("reward", "cost")[:heads])
 
 
 # ---- the environment ----
@@ -231,12 +232,12 @@ def make_run(folder, task="flat", action=None, **learner):
     small = dict(hidden=(8,), hidden_estimator=(8,))
     _, cfg = settle(dict(task=task), small | learner)
     env = go1_env.Go1Env(1, env_cfg, 1)
-    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, 2, False, cfg.ppo)
+    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.ppo)
     if action is not None:
         pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
-    deploy.write(folder / "policy.npz", pi, env_cfg, last=False)
+    deploy.write(folder / "policy.npz", pi, env, env_cfg, last=False)
     return folder
 
 

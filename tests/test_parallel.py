@@ -17,6 +17,7 @@ import ppo
 import train
 from eipo import Estimate, Transition
 from go1_env import Go1Env
+from mirror import Mirrored
 from runtime import metrics, parallel
 
 FLAGS = [*TINY, "--num-envs", "8", "--threads", "1", "--checkpoint-every", "4"]
@@ -27,9 +28,9 @@ def one_update():
     """The weights of a learner after `ppo_update` with 640 samples in one minibatch, in a row."""
     cfg = ppo.PPOConfig(num_epochs=4, num_minibatches=1, hidden=(8,), hidden_estimator=(8,))
     rng = np.random.default_rng(0)
-    env = Go1Env(1)
-    learner = parallel.everywhere(ppo.init_learner(rng, env, 2, True, cfg))
-    widths = dict(obs=env.obs_size, privileged=3, action=12)
+    env = Mirrored(Go1Env(1))
+    learner = parallel.everywhere(ppo.init_learner(rng, env, ("reward", "cost"), cfg))
+    widths = dict(obs=sum(env.obs_size), privileged=3, action=12)
     arrays = {name: rng.normal(size=(10, 64, n)).astype(np.float32) for name, n in widths.items()}
     arrays["log_prob"] = rng.normal(-17, 0.1, (10, 64)).astype(np.float32)
     tau = Transition(**dict.fromkeys(Transition._fields) | arrays)
@@ -43,8 +44,8 @@ def one_update():
 def process(out, *flags):
     """What one process of a test does: train slowly, and write down what it holds at its end."""
     held = {}
-    sync, train.save = train.sync_stop_and_curriculum, keep_hash(train.save, held)
-    train.sync_stop_and_curriculum = lambda *args: time.sleep(0.5) or sync(*args)
+    sync, train.save = parallel.sync_stop_and_curriculum, keep_hash(train.save, held)
+    parallel.sync_stop_and_curriculum = lambda *args: time.sleep(0.5) or sync(*args)
     metrics.draw_curves = lambda *_: None  # takes longer than to train
     status = train.main(list(flags))
     if status == 0:
@@ -187,11 +188,10 @@ def test_flags_that_do_not_fit_are_one_line(tmp_path, capsys, flags, says):
 def test_alone_nothing_is_changed():
     """Nor copied: without the flags a run is the same to the bit."""
     tree = dict(a=np.ones(2), b=(1, 2.5))
-    assert parallel.shared(len) is len
     for function in parallel.everyone, parallel.everywhere:
         assert function(tree) is tree
     weights, before = np.array([0.1, 1.0]), np.array([0.3, 0.0])
-    assert train.sync_stop_and_curriculum(True, weights, before) is True
+    assert parallel.sync_stop_and_curriculum(True, weights, before) is True
     assert weights.tolist() == [0.1, 1.0]
 
 

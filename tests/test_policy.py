@@ -16,6 +16,7 @@ import networks
 import policy
 import ppo
 import tasks
+from mirror import Mirrored
 from runtime import deploy, run_folder
 
 COMMITTED = sorted((ROOT / "results").rglob("policy*.npz"))
@@ -29,11 +30,12 @@ def trained():
     """A Learner with the mirror whose answers are so large that some are clipped, and its world."""
     env_cfg = tasks.task_config("curriculum", history=2, tiles=2)
     cfg = ppo.PPOConfig(hidden=(8, 8), hidden_estimator=(8,))
-    learner = ppo.init_learner(np.random.default_rng(0), go1_env.Go1Env(1, env_cfg), 2, True, cfg)
+    env = Mirrored(go1_env.Go1Env(1, env_cfg))
+    learner = ppo.init_learner(np.random.default_rng(0), env, ("reward", "cost"), cfg)
     last = learner.params["actor"][-1]
     weights = tuple(30 * w for w in last.weights)
     learner.params["actor"][-1] = last._replace(weights=weights)
-    return learner, env_cfg
+    return learner, env, env_cfg
 
 
 def test_all_four_tasks_have_a_committed_policy():
@@ -99,8 +101,8 @@ def test_act_by_hand():
 
 def test_one_robot_many_robots_and_the_learner_agree(trained):
     """policy.py, evaluate.py and networks.policy, for 50 steps of random sensors."""
-    learner, env_cfg = trained
-    pi = deploy.of_learner(learner, env_cfg)
+    learner, env, env_cfg = trained
+    pi = deploy.of_learner(learner, env, env_cfg)
     rng = np.random.default_rng(1)
     seen, done, estimates = [], [], []
     for _ in range(50):
@@ -108,7 +110,9 @@ def test_one_robot_many_robots_and_the_learner_agree(trained):
         seen.append(np.concatenate(pi.frames))
         done.append(pi.action)
         estimates.append(pi.estimate)
-    mean, std, velocity = networks.policy(learner.params, np.array(seen), learner.bases)
+    turned, _ = env.turned(np.array(seen), np.zeros((50, 3)))
+    mean, std, velocity = networks.policy(learner.params, turned)
+    mean, velocity = mean @ env.action.T, velocity @ env.privileged.T
     many = evaluate.deterministic(pi)(np.array(seen))
     np.testing.assert_allclose(many, mean, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(done, np.clip(mean, -10, 10), rtol=1e-4, atol=1e-4)
@@ -118,11 +122,11 @@ def test_one_robot_many_robots_and_the_learner_agree(trained):
 
 def test_a_run_ends_with_a_trace_which_is_what_the_simulation_did(trained, tmp_path):
     """Its actions, played once more, make its readings: 50 steps of 20 ms without noise."""
-    learner, env_cfg = trained
+    learner, env, env_cfg = trained
     path = tmp_path / "policy.npz"
-    deploy.write(path, learner, env_cfg, last=False)
+    deploy.write(path, learner, env, env_cfg, last=False)
     assert policy.load(path).trace == {}
-    deploy.write(path, learner, env_cfg, last=True)
+    deploy.write(path, learner, env, env_cfg, last=True)
     trace = policy.load(path).trace
     shapes = {name: (50, width) for name, width in WIDTHS.items()}
     assert {name: x.shape for name, x in trace.items()} == dict(time=(50,)) | shapes

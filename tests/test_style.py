@@ -27,15 +27,16 @@ LAYERS = {
     "tasks": {"numpy", "scipy"},
     "go1": {"numpy", "mujoco", "scipy"},
     "go1_env": {"numpy", "mujoco", "scipy"},
-    "mirror": {"numpy", "scipy"},
     "networks": {"numpy", "jax"},
+    "mirror": {"numpy", "scipy"},
     "runtime/__init__": set(),
     "runtime/command": set(),
     "runtime/interrupt": set(),
-    "runtime/parallel": {"numpy", "jax"},
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
+    "runtime/parallel": {"numpy", "jax"},
     "runtime/flags": set(),
+    "runtime/jax_setup": {"jax"},
     "runtime/run_folder": {"numpy", "jax"},
     "runtime/deploy": {"numpy"},
     "runtime/metrics": {"numpy", "matplotlib"},
@@ -45,9 +46,9 @@ LAYERS = {
 }
 # what the learner may import of ours: it knows no robot, no file and no process
 LEARNER = dict(
-    mirror=set(),
-    networks={"mirror"},
-    ppo={"mirror", "networks", "runtime/parallel"},
+    networks=set(),
+    mirror={"networks"},
+    ppo={"networks"},
     eipo={"networks", "ppo"},
 )
 PACKAGES = set().union(*LAYERS.values())

@@ -10,7 +10,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from support import EIPO, LAMBDAS, dyadic, handmade, plain_learner, trees_equal
+from support import EIPO, LAMBDAS, dyadic, handmade, learner_of, trees_equal
 
 import eipo
 from eipo import Dual, Estimate, Transition
@@ -35,21 +35,19 @@ def test_eq01_discounted_return():
 
 
 def test_eq02_lambda_objective():
-    """The second stream is stored as lam f. With lam = 1/4:
+    """With lam = 1/4:
 
     A_r           =  1,  2, -3
     A_f           =  4, -8, 16
-    lam A_f       =  1, -2,  4
     A_r - lam A_f =  0,  4, -7
     """
-    advantage = np.array([[1.0, 1.0], [2.0, -2.0], [-3.0, 4.0]])
-    assert eipo.mix(advantage, alpha=4.0, lam=0.25).tolist() == [0, 4, -7]
+    advantage = np.array([[1.0, 4.0], [2.0, -8.0], [-3.0, 16.0]])
+    assert eipo.mix(advantage, task=1, cost=0.25).tolist() == [0, 4, -7]
 
 
 def test_eq02_without_energy_is_the_task_alone():
-    """With lam = 0, alpha = 1 / lam is infinite. What is left is A_r, and no 0 * inf = nan."""
-    advantage = np.array([[1.0, 64.0], [2.0, 64.0]])
-    assert eipo.mix(advantage, alpha=np.inf, lam=0.0).tolist() == [1, 2]
+    """With lam = 0 what is left is A_r."""
+    assert eipo.mix(np.array([[1.0, 64.0], [2.0, 64.0]]), task=1, cost=0).tolist() == [1, 2]
 
 
 def test_eq04_lambda_is_one_over_alpha():
@@ -58,21 +56,16 @@ def test_eq04_lambda_is_one_over_alpha():
     Eq. (2)      A_r - A_f / 4
     Eq. (4)    4 A_r - A_f
     """
-    A_r, A_f = dyadic(np.random.default_rng(0), 2, 64)
-    eq2 = eipo.mix(np.stack([A_r, 0.25 * A_f], -1), alpha=4.0, lam=0.25)
-    eq4 = 4 * A_r - A_f
+    advantage = dyadic(np.random.default_rng(0), 64, 2)
+    eq2, eq4 = eipo.mix(advantage, task=1, cost=0.25), eipo.mix(advantage, task=4, cost=1)
     assert np.array_equal(4 * eq2, eq4)
     assert np.array_equal((eq2 - eq2.mean()) / eq2.std(), (eq4 - eq4.mean()) / eq4.std())
 
 
-@pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 7.0), (0.0, -1.0)])
+@pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 28.0), (0.0, -4.0)])
 def test_eq04_alpha_weighs_the_task(alpha, mixed):
-    """lam (alpha A_r - A_f) for A_r = 1, A_f = 4 and lam = 1/4:
-
-    alpha = 32:  (32 - 4) / 4 =  7
-    alpha =  0:  ( 0 - 4) / 4 = -1
-    """
-    assert eipo.mix(np.array([1.0, 0.25 * 4]), alpha, lam=0.25) == mixed
+    """alpha A_r - A_f for A_r = 1 and A_f = 4: 32 - 4 = 28, and 0 - 4 = -4."""
+    assert eipo.mix(np.array([1.0, 4.0]), alpha, 1) == mixed
 
 
 def test_eq04_gradient_in_alpha():
@@ -168,7 +161,7 @@ def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
         next_obs=column(next_obs),
         next_privileged=zero,
     )
-    pi = plain_learner(handmade(critic=((critic,), (0.0,))))
+    pi = learner_of(handmade(critic=((critic,), (0.0,))))
     return eipo.estimate(pi, tau, EIPO.lam, EIPO.ppo)
 
 
@@ -219,21 +212,20 @@ def test_algorithm1_line12_estimate_J_is_the_task_alone():
     assert eipo.estimate_J(Estimate(None, target)) == 2
 
 
-@pytest.mark.parametrize(
-    ("alpha", "lam", "share"), [(6.0, 0.25, 0.75), (4.0, 0.25, 2 / 3), (np.inf, 0.0, 1.0)]
-)
-def test_algorithm1_share_of_the_task_in_the_objective(alpha, lam, share):
-    """A_r = +-1 and lam A_f = +-1/2 with lam = 1/4, so that A_f = +-2:
+@pytest.mark.parametrize(("task", "cost", "share"), [(6, 1, 0.75), (1, 0.25, 2 / 3), (1, 0, 1)])
+def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
+    """A_r = +-1 and A_f = +-2:
 
-    alpha = 6:        6 / (6 + 2) = 3/4
-    alpha = 1 / lam:  4 / (4 + 2) = 2/3
+    alpha = 6:   6 / (6 + 2)      = 3/4
+    lam = 1/4:   1 / (1 + 2 / 4)  = 2/3
+    lam = 0:     1
 
-    Without energy the share is 1. J is the mean of 1 and 3.
+    J is the mean of 1 and 3.
     """
-    advantage = np.array([[[1.0, 0.5]], [[-1.0, -0.5]]])
+    advantage = np.array([[[1.0, 2.0]], [[-1.0, -2.0]]])
     target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    log = eipo.summary(Estimate(advantage, target), Dual(alpha, 0.0), replace(EIPO, lam=lam))
-    assert log == dict(J=2, alpha=alpha, task_share=pytest.approx(share))
+    log = eipo.summary(Estimate(advantage, target), task, cost)
+    assert log == dict(J=2, task_share=pytest.approx(share))
 
 
 # ---- L13: the multiplier ----

@@ -13,7 +13,7 @@ from itertools import islice
 import jax
 import numpy as np
 import pytest
-from support import EIPO, LAMBDAS, handmade, plain_learner, trees_equal
+from support import EIPO, LAMBDAS, handmade, learner_of, trees_equal
 
 import eipo
 import networks
@@ -23,7 +23,7 @@ from eipo import Dual
 @jax.jit
 def policy(pi, obs):
     """Mean and deviation of the action, and the estimate, of a Learner."""
-    return networks.policy(pi.params, obs, pi.bases)
+    return networks.policy(pi.params, obs)
 
 
 class Probe:
@@ -36,7 +36,7 @@ class Probe:
     `diary` holds what was seen and done, `seeds` the seeds of all resets.
     """
 
-    num_envs, obs_size, frame_size, privileged_size, action_size, mirror = 16, 2, 2, 1, 1, None
+    num_envs, obs_size, privileged_size, action_size = 16, 2, 1, 1
 
     def __init__(self, reward, cost=lambda x, t, a: 0 * x, length=1, truncates=False):
         self.reward, self.cost, self.length, self.truncates = reward, cost, length, truncates
@@ -94,7 +94,7 @@ def known(heads):
     """
     critic = np.array([[-1.0, -2.0], [2.0, 4.0], [1.0, 2.0]])[:, :heads]
     params = handmade(critic, estimator=np.zeros((2, 1)), actor=np.zeros((3, 1)))
-    return plain_learner(params)
+    return learner_of(params)
 
 
 def roll(env, pi):
@@ -106,7 +106,7 @@ def roll(env, pi):
 def errors(pi, tau):
     """One-step errors (T, N, K): the advantages with gae_lambda = 0, at gamma = 1/2."""
     cfg = replace(EIPO.ppo, gae_lambda=0.0)
-    return np.asarray(eipo.estimate(pi, tau, EIPO.lam, cfg).advantage)
+    return np.asarray(eipo.estimate(pi, tau, 1.0, cfg).advantage)
 
 
 def test_algorithm1_line06_rollout_bootstraps_from_the_final_observation():
@@ -156,20 +156,22 @@ def test_algorithm1_line06_rollout_goes_on_where_the_last_one_ended():
 def test_algorithm1_line08_streams_are_of_comparable_size():
     """D6, D10. A rollout holds r and f as they are, here r = 1 and f = -126 W of a robot at rest.
 
-    With V = 0, a scale of 0.02 and lam = 0.005 the streams of line 8 are
+    With V = 0, a scale of 0.02 and lam = 1/200 the critics of pi and pi_prime learn
 
     r:  0.02 * 1             =  0.02
-    f:  0.02 * 0.005 * -126  = -0.0126
+    f:  0.02 * -126 / 200    = -0.0126
+
+    and line 8 mixes the advantages of r and of f itself, 0.02 and 0.02 * -126 = -2.52.
     """
     cfg = replace(EIPO.ppo, reward_scale=0.02)
     for heads in (1, 2):
-        params = handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1)))
-        pi = plain_learner(params)
+        pi = learner_of(handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1))))
         tau, log = roll(Probe(one, cost=lambda x, t, a: -126 + 0 * x), pi)
         assert (tau.reward == 1).all() and (tau.cost == -126).all() and log["cost"] == -126
-        streams = eipo.estimate(pi, tau, 0.005, cfg).advantage
-        expected = np.tile([0.02, -0.0126][:heads], (48, 1))
-        assert streams.reshape(48, heads) == pytest.approx(expected)
+        est = eipo.estimate(pi, tau, 1 / 200, cfg)
+        for found, expected in ((est.target, [0.02, -0.0126]), (est.advantage, [0.02, -2.52])):
+            expected = np.tile(expected[:heads], (48, 1))
+            assert found.reshape(48, heads) == pytest.approx(expected)
 
 
 def test_algorithm1_line06_rollout_acts_with_fresh_noise_and_knows_its_density():
@@ -255,13 +257,12 @@ def test_algorithm1_uses_no_key_twice(monkeypatch):
     assert len(keys) == len(set(keys)) == 8
 
 
-def test_algorithm1_ppo_has_neither_pi_prime_nor_a_moving_alpha(with_effort):
-    """Its metrics are those of EIPO, but for the gap and what is of pi_prime."""
-    (start, _), (_, _), (end, metrics) = run(Probe(near_half), None)
-    assert end.pi_prime is None
-    assert start.dual == end.dual == Dual(0.25, 0)
+def test_algorithm1_ppo_has_neither_pi_prime_nor_alpha(with_effort):
+    """Its metrics are those of EIPO, but for alpha, the gap and what is of pi_prime."""
+    (_, _), (_, _), (end, metrics) = run(Probe(near_half), None)
+    assert end.pi_prime is end.dual is None
     of_eipo = with_effort[0][2][1]
-    own = {name for name in of_eipo if name != "gap" and not name.startswith("prime_")}
+    own = {x for x in of_eipo if x not in ("alpha", "gap") and not x.startswith("prime_")}
     assert set(metrics) == own
 
 
@@ -288,30 +289,22 @@ def test_algorithm1_eipo_starts_as_ppo(with_effort):
 
 
 def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
-    """1 / lam for each lambda of Eq. (10). Without energy, for PPO, alpha is infinite."""
+    """1 / lam for each lambda of Eq. (10) but 0."""
     monkeypatch.setattr(eipo, "init_learner", lambda *_: None)
 
     def start(**changes):
         return eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual
 
-    expected = [np.inf, 10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50]
-    assert [start(lam=lam).alpha for lam in LAMBDAS] == pytest.approx(expected)
+    expected = [10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50]
+    assert [start(lam=lam).alpha for lam in LAMBDAS[1:]] == pytest.approx(expected)
     assert start(lam=0.25) == Dual(4, 0)
 
 
-@pytest.mark.parametrize("is_mirrored", [True, False])
-def test_algorithm1_line03_both_policies_have_the_mirror_of_their_robot(is_mirrored):
-    """D28. An action that M negates is odd and one that it keeps is even. Without a mirror, because
-    the robot has none or because it is told not to, a policy has one half.
-    """
-    env, env_prime, asymmetric = Probe(one), Probe(one), Probe(one)
-    env.mirror = dict(frame=([0, 1], [-1, 1]), privileged=([0], [1]), action=([0], [-1]))
-    env_prime.mirror = env.mirror | dict(action=([0], [1]))
-    cfg = replace(EIPO, mirror=is_mirrored)
-    state = eipo.init_state(env, env_prime, cfg)
-    widths = [[h.shape[1] for h in pi.bases.action] for pi in (state.pi, state.pi_prime)]
-    assert widths == ([[0, 1], [1, 0]] if is_mirrored else [[1], [1]])
-    assert len(eipo.init_state(asymmetric, None, cfg).pi.bases.action) == 1
+def test_algorithm1_line03_pi_learns_from_both_streams_and_pi_prime_from_the_task():
+    """And what is PPO's baseline is pi."""
+    state = eipo.init_state(Probe(one), Probe(one), EIPO)
+    assert (state.pi.streams, state.pi_prime.streams) == (("reward", "cost"), ("reward",))
+    assert eipo.init_state(Probe(one), None, EIPO).pi.streams == ("reward", "cost")
 
 
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
@@ -386,7 +379,7 @@ def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
     (start, _), _, (end, log) = run(env, env_prime if algo == "eipo" else None)
     assert log["skipped"] == 2 * 4 * 2
     assert trees_equal(start.pi.params, end.pi.params)
-    assert start.dual == end.dual == Dual(0.25, 0)
+    assert start.dual == end.dual == (Dual(0.25, 0) if algo == "eipo" else None)
 
 
 # ---- the toy: a robot of one number, its speed theta, that can be solved by hand; F = theta^2 ----
@@ -477,7 +470,7 @@ def at(t):
 
 def values(state, t=0):
     """V (2, K) where x is -1 and where it is 1."""
-    return np.asarray(networks.value(state.pi.params, *at(t), state.pi.bases))
+    return np.asarray(networks.value(state.pi.params, *at(t)))
 
 
 def means(pi):

@@ -10,8 +10,7 @@ from support import FROZEN, NOMINAL, QUARTER, ROOT, make, place, quiet, still
 import energy
 import go1
 import go1_env
-import mirror
-import networks
+import policy
 
 
 def joints(*values):
@@ -211,21 +210,14 @@ def random_targets():
 
 def policy_targets():
     """Where the shipped policy of flat ground is after a second at 1 m/s, and its next targets."""
-    with np.load(ROOT / "results" / "flat" / "policy.npz") as file:
-
-        def layers(net, n):
-            return [networks.Layer((file[f"{net}.{i}.W"],), file[f"{net}.{i}.b"]) for i in range(n)]
-
-        params = dict(actor=layers("actor", 4), estimator=layers("estimator", 3))
-        params["log_std"] = file["log_std"]
-    bases = mirror.make_bases(None, 44, 3, 12)
+    pi = policy.load(ROOT / "results" / "flat" / "policy.npz")
     env = make(1, noise=1.0, friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0)
     env.reset(0, [1.0, 0.0, 0.0])
     targets = []
     for t in range(100):
         if t == 50:
             start = env.qpos[0].copy(), env.qvel[0].copy()
-        env.step(np.asarray(networks.policy(params, env.observe()[0], bases)[0]))
+        env.step(pi.mean(env.observe()[0]))
         targets.append(NOMINAL + go1_env.ACTION_SCALE * env.state.action[0])
     return *start, targets[50:]
 

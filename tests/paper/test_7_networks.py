@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import optax
 import pytest
-from support import EIPO, NOMINAL, dyadic, handmade, make, plain, plain_learner, trees_equal
+from support import EIPO, NOMINAL, dyadic, handmade, learner_of, make, plain, trees_equal
 
 import energy
 import go1
@@ -30,9 +30,9 @@ policy, value, sample = (jax.jit(f) for f in (networks.policy, networks.value, n
 def test_networks_elu_between_the_layers_only():
     """ELU(2) = 2 and ELU(-1) = 1/e - 1. A lone layer stays linear: 3 (-1) + 1 = -2."""
     unit, x = plain([[1.0]]), jnp.array([[2.0], [-1.0]])
-    (hidden,) = networks.mlp([unit, unit], [x])
+    hidden = networks.mlp([unit, unit], x)
     assert hidden.ravel().tolist() == pytest.approx([2, -0.63212056])
-    (alone,) = networks.mlp([plain([[3.0]], bias=1.0)], [jnp.array([-1.0])])
+    alone = networks.mlp([plain([[3.0]], bias=1.0)], jnp.array([-1.0]))
     assert alone.tolist() == [-2]
 
 
@@ -56,7 +56,8 @@ def test_networks_have_the_widths_of_their_flags(is_mirrored, halves):
     """IV-C.b: actor and critic have the same, the estimator its own. A half has half of them."""
     env = make(1, history=1)
     cfg = replace(EIPO.ppo, hidden=(16, 12, 8), hidden_estimator=(6, 4))
-    params = ppo.init_learner(np.random.default_rng(0), env, 2, is_mirrored, cfg).params
+    env = mirror.Mirrored(env) if is_mirrored else env
+    params = networks.init_params(np.random.default_rng(0), env, 2, cfg)
     widths = {
         name: [halves * layer.weights[0].shape[1] for layer in params[name][:-1]]
         for name in ("actor", "critic", "estimator")
@@ -72,16 +73,15 @@ def test_networks_who_sees_what():
     value    = obs + 8 privileged = 3 + 40   = 43
     """
     params = handmade(critic=((1.0,), (8.0,)), estimator=((2.0,),), actor=((1.0,), (8.0,)))
-    bases = plain_learner(params).bases
-    mean, std, estimate = policy(params, jnp.array([3.0]), bases)
+    mean, std, estimate = policy(params, jnp.array([3.0]))
     assert (mean.tolist(), std.tolist(), estimate.tolist()) == ([51], [1], [6])
-    assert value(params, jnp.array([3.0]), jnp.array([5.0]), bases).tolist() == [43]
+    assert value(params, jnp.array([3.0]), jnp.array([5.0])).tolist() == [43]
 
 
 def test_networks_noise():
     """log_std = -1: the deviation is exp(-1), the same for every observation."""
     params = handmade() | dict(log_std=np.float32([-1]))
-    std = policy(params, jnp.ones((2, 1)), plain_learner(params).bases)[1]
+    std = policy(params, jnp.ones((2, 1)))[1]
     assert std == pytest.approx(np.full((2, 1), 0.36787944))
 
 
@@ -185,7 +185,7 @@ def test_mirror_of_an_observation():
     for _ in range(5):
         _, reward, *_ = env.step(np.stack([action, reflect(action, env.mirror["action"])]))
     obs, privileged = env.observe()
-    frames = obs.reshape(2, 5, env.frame_size)
+    frames = obs.reshape(2, 5, 44)
     np.testing.assert_allclose(frames[1], reflect(frames[0], env.mirror["frame"]), atol=1e-5)
     there = reflect(privileged[0], env.mirror["privileged"])
     np.testing.assert_allclose(privileged[1], there, atol=1e-6)
@@ -195,46 +195,64 @@ def test_mirror_of_an_observation():
 # ---- D28: the networks that keep to it ----
 
 
-def test_halves_by_hand():
+def test_coordinates_by_hand():
     """The mirror image of (a, b, c, d) is (b, a, -c, d). For (3, 1, 5, 7) the coordinates are
 
     even:  (a + b) / sqrt 2 = 2 sqrt 2    d = 7
     odd:   (a - b) / sqrt 2 =   sqrt 2    c = 5
     """
-    basis = mirror.basis([1, 0, 2, 3], [1, 1, -1, 1])
+    even, odd = mirror.basis([1, 0, 2, 3], [1, 1, -1, 1])
     x = np.array([3.0, 1.0, 5.0, 7.0])
-    even, odd = mirror.split(x, basis)
-    assert even == pytest.approx([2 * 2**0.5, 7], rel=1e-6)
-    assert odd == pytest.approx([2**0.5, 5], rel=1e-6)
-    assert mirror.join([even, odd], basis) == pytest.approx([3, 1, 5, 7], rel=1e-6)
-    assert [half.tolist() for half in mirror.split(x, mirror.plain_basis(4))] == [[3, 1, 5, 7]]
+    assert x @ even == pytest.approx([2 * 2**0.5, 7], rel=1e-6)
+    assert x @ odd == pytest.approx([2**0.5, 5], rel=1e-6)
 
 
-def test_halves_of_frames_by_hand():
-    """Two frames (a, b), of which a and b are a pair: even sums, then odd differences, by frame."""
-    basis = mirror.basis([1, 0], [1, 1])
-    even, odd = mirror.split_frames(np.array([[3.0, 1.0, 7.0, 2.0]]), basis)
-    assert even[0] * 2**0.5 == pytest.approx([4, 9], rel=1e-6)
-    assert odd[0] * 2**0.5 == pytest.approx([2, 5], rel=1e-6)
+def test_what_is_even_comes_first():
+    """Two frames (a, b), of which a and b are a pair: sums of both frames, then differences. The
+    privileged number changes its sign, so it is odd. An action (2 sqrt 2, sqrt 2) is (3, 1).
+    """
+    shown = np.array([[3.0, 1.0, 7.0, 2.0]]), np.array([[5.0]])
+    asked = []
+    info = dict(final_obs=2 * shown[0], final_privileged=2 * shown[1])
+    env = SimpleNamespace(
+        num_envs=1,
+        obs_size=4,
+        mirror=dict(frame=([1, 0], [1, 1]), privileged=([0], [-1]), action=([1, 0], [1, 1])),
+        observe=lambda: shown,
+        reset=lambda seed: asked.append(seed),
+        step=lambda action: asked.append(action) or (None, 1.0, False, True, info),
+    )
+    turned = mirror.Mirrored(env)
+    sizes = turned.obs_size, turned.privileged_size, turned.action_size
+    assert sizes == ([2, 2], [0, 1], [1, 1])
+    obs, reward, terminated, truncated, info = turned.step(np.array([[2 * 2**0.5, 2**0.5]]))
+    assert obs[0] * 2**0.5 == pytest.approx([4, 9, 2, 5], rel=1e-6)
+    assert info["final_obs"][0] == pytest.approx(2 * obs[0])
+    assert (info["final_privileged"], reward, terminated, truncated) == (10, 1.0, False, True)
+    assert asked[0] == pytest.approx(np.array([[3, 1]]), rel=1e-6)
+    assert turned.reset(7)[0] == pytest.approx(obs) and asked[1] == 7
 
 
-def test_halves_of_the_robot():
-    """A frame has 21 even and 23 odd coordinates, a velocity 2 and 1, and an action 6 pairs.
+def test_coordinates_of_the_robot():
+    """A frame has 21 even and 23 odd coordinates, a velocity 2 and 1, and an action 6 pairs, in the
+    order of the joints.
 
     A pair of hips a, b changes its sign in the mirror, so that a - b is what it keeps:
     even (3 - 1) / sqrt 2 and odd (3 + 1) / sqrt 2.
     """
-    bases = robot_bases(is_mirrored=True)
-    for name, widths in dict(frame=[21, 23], privileged=[2, 1], action=[6, 6]).items():
-        basis = getattr(bases, name)
-        assert [half.shape[1] for half in basis] == widths
-        x = np.random.default_rng(0).normal(size=(3, sum(widths)))
-        np.testing.assert_allclose(mirror.join(mirror.split(x, basis), basis), x, atol=1e-6)
+    env = mirror.Mirrored(make(1, history=2))
+    sizes = env.obs_size, env.privileged_size, env.action_size
+    assert sizes == ([42, 46], [2, 1], [6, 6])
+    for turn in mirror.coordinates(env):
+        np.testing.assert_allclose(turn.T @ turn, np.eye(len(turn)), atol=1e-6)
     hips = np.zeros(12)
     hips[[0, 3]] = 3.0, 1.0
-    even, odd = mirror.split(hips, bases.action)
-    assert (even[0], odd[0]) == pytest.approx((2**0.5, 2 * 2**0.5), rel=1e-6)
-    assert bases.pair.tolist() == [0, 1, 2, 0, 1, 2, 3, 4, 5, 3, 4, 5]
+    turned = hips @ env.action
+    assert (turned[0], turned[6]) == pytest.approx((2**0.5, 2 * 2**0.5), rel=1e-6)
+    assert np.delete(turned, [0, 6]) == pytest.approx(0)
+    for pair, joints in enumerate([(0, 3), (1, 4), (2, 5), (6, 9), (7, 10), (8, 11)]):
+        for column in (pair, 6 + pair):
+            assert tuple(np.flatnonzero(env.action[:, column])) == joints
 
 
 def test_mirrored_layer_by_hand():
@@ -247,40 +265,36 @@ def test_mirrored_layer_by_hand():
     """
     layers = [Layer((np.eye(1) * 2, np.eye(1) * 4), np.ones(1))]
     layers += [Layer((np.eye(1), np.eye(1)), np.zeros(1))]
-    inputs = [jnp.array([[1.0], [1.0]]), jnp.array([[0.5], [-1.0]])]
-    even, odd = networks.mlp(layers, inputs)
+    even, odd = networks.mlp(layers, jnp.array([[1.0, 0.5], [1.0, -1.0]])).T
     right, left = (even + odd) / 2**0.5, (even - odd) / 2**0.5
-    assert right.ravel() == pytest.approx([5 / 2**0.5, np.exp(-(0.5**0.5)) - 1], rel=1e-6)
-    assert left.ravel() == pytest.approx([1 / 2**0.5, 7 / 2**0.5], rel=1e-6)
-
-
-def robot_bases(is_mirrored):
-    """The Bases of the robot, with its mirror or as of plain MLPs."""
-    return mirror.make_bases(make(1).mirror if is_mirrored else None, 44, 3, 12)
+    assert right == pytest.approx([5 / 2**0.5, np.exp(-(0.5**0.5)) - 1], rel=1e-6)
+    assert left == pytest.approx([1 / 2**0.5, 7 / 2**0.5], rel=1e-6)
 
 
 def new_policy(is_mirrored=True):
-    """Two frames of 8 robots, and a policy in which noise makes every weight count."""
+    """An environment of 8 robots with two frames each, and a policy in which noise makes every
+    weight count.
+    """
     env, rng = make(8, noise=1.0, history=2), np.random.default_rng(0)
-    bases = robot_bases(is_mirrored)
+    env = mirror.Mirrored(env) if is_mirrored else env
     cfg = replace(EIPO.ppo, hidden=(16, 8), hidden_estimator=(6, 4))
-    params = networks.init_params(rng, env.obs_size, 2, bases, cfg)
+    params = networks.init_params(rng, env, 2, cfg)
     params = jax.tree.map(lambda x: np.float32(rng.normal(size=x.shape) / 8), params)
     params["log_std"] = np.arange(len(params["log_std"])) / np.float32(8)
-    return env, params, bases
+    return env, params
 
 
 def test_sample_is_the_mean_and_noise_of_every_joint():
     """Deviations 1, 2 and 1/2 of hip, thigh and calf, right and left, and no correlation. 4,000
     draws have them within 5 %.
     """
-    env, params, bases = new_policy()
+    env, params = new_policy()
     params["log_std"] = np.float32(np.log([1, 2, 0.5, 1, 2, 0.5]))
     obs = np.repeat(env.observe()[0][:1], 4000, 0)
-    action, log_prob = sample(params, obs, KEY, bases)
-    mean, std, _ = policy(params, obs[:1], bases)
+    turned, log_prob = sample(params, obs, KEY)
+    mean, _, _ = policy(params, obs[:1])
+    action, mean = turned @ env.action.T, mean @ env.action.T
     std_by_hand = np.tile([1, 2, 0.5], 4)
-    np.testing.assert_allclose(std[0], std_by_hand, rtol=1e-6)
     np.testing.assert_allclose(np.std(action, 0), std_by_hand, rtol=0.05)
     np.testing.assert_allclose(np.mean(action, 0), mean[0], atol=0.15)
     assert np.abs(np.corrcoef(np.asarray(action).T) - np.eye(12)).max() < 0.1
@@ -290,23 +304,23 @@ def test_sample_is_the_mean_and_noise_of_every_joint():
 
 
 def test_a_mirrored_observation_gets_a_mirrored_action():
-    """pi(M s) = M pi(s) and V(M s) = V(s). The estimate is mirrored as well, and the density of an
-    action is that of its image. None of it is so because it is 0.
+    """pi(M s) = M pi(s) and V(M s) = V(s), on what the robot sees and does. The estimate is
+    mirrored as well. None of it is so because it is 0.
     """
-    env, params, bases = new_policy()
-    of = env.mirror
-    obs, privileged = env.observe()
-    action = np.random.default_rng(0).normal(size=12).astype(np.float32)
+    env, params = new_policy()
+    of = env.env.mirror
+    obs, privileged = env.env.observe()
     image = reflect(obs.reshape(8, 2, 44), of["frame"]).reshape(8, 88).astype(np.float32)
 
-    def answers(obs, privileged, action):
-        mean, std, estimate = policy(params, obs, bases)
-        density = networks.log_prob(mean, std, mean + action)
-        return mean, estimate, value(params, obs, privileged, bases), density
+    def answers(obs, privileged):
+        obs, privileged = env.turned(obs, privileged)
+        mean, _, estimate = policy(params, obs)
+        back = mean @ env.action.T, estimate @ env.privileged.T
+        return *back, value(params, obs, privileged)
 
-    mean, estimate, values, density = answers(obs, privileged, action)
-    there = reflect(mean, of["action"]), reflect(estimate, of["privileged"]), values, density
-    here = answers(image, reflect(privileged, of["privileged"]), reflect(action, of["action"]))
+    mean, estimate, values = answers(obs, privileged)
+    there = reflect(mean, of["action"]), reflect(estimate, of["privileged"]), values
+    here = answers(image, reflect(privileged, of["privileged"]))
     for x, expected in zip(here, there, strict=True):
         assert np.abs(expected).max() > 0.01
         np.testing.assert_allclose(x, expected, atol=1e-5, rtol=1e-6)
@@ -314,20 +328,26 @@ def test_a_mirrored_observation_gets_a_mirrored_action():
 
 @pytest.mark.parametrize("is_mirrored", [True, False])
 def test_the_plain_policy_is_the_same_policy(is_mirrored):
-    """As plain MLPs it has the same means, noise and estimates, and the mirror has half of their
-    weights.
+    """On what the robot sees, plain MLPs have the same means and estimates, and the mirror has half
+    of their weights. They see the estimate after the observation, as policy.py does.
     """
-    env, params, bases = new_policy(is_mirrored)
-    whole = networks.plain_policy(params, bases)
+    env, params = new_policy(is_mirrored)
+    whole = mirror.plain_policy(params, env)
     assert [weights.shape for weights, _ in whole["actor"]] == [(91, 16), (16, 8), (8, 12)]
-    for net in ("actor", "estimator"):
-        whole[net] = [networks.Layer((weights,), bias) for weights, bias in whole[net]]
-    obs, _ = env.observe()
-    same = zip(policy(params, obs, bases), policy(whole, obs, robot_bases(False)), strict=True)
-    for here, there in same:
-        np.testing.assert_allclose(here, there, atol=1e-5)
+    mean, _, estimate = policy(params, env.observe()[0])
+    seen = (env.env if is_mirrored else env).observe()[0]
+    _, back_estimate, back = mirror.coordinates(env)
+    velocity = mlp_of(whole["estimator"], seen)
+    action = mlp_of(whole["actor"], np.hstack([seen, velocity]))
+    np.testing.assert_allclose(velocity, estimate @ back_estimate.T, atol=1e-5)
+    np.testing.assert_allclose(action, mean @ back.T, atol=1e-5)
     sizes = [sum(x.size for x in jax.tree.leaves(p["actor"])) for p in (params, whole)]
     assert sizes[0] / sizes[1] == pytest.approx(0.5 if is_mirrored else 1.0, abs=0.01)
+
+
+def mlp_of(layers, x):
+    """The output of a plain MLP [(W, b), ...] with ELU between its layers."""
+    return networks.mlp([Layer((weights,), bias) for weights, bias in layers], x)
 
 
 # ---- IV-C.c: PPO, lines 9 and 11 ----
@@ -356,8 +376,8 @@ def test_algorithm1_line09_ppo_loss():
     batch = dict(obs=1.0, privileged=0.5, action=0.0, target=3.0)
     batch = {name: jnp.full((4, 1), x) for name, x in batch.items()}
     batch |= dict(log_prob=jnp.full(4, then), advantage=jnp.ones(4))
-    pi = plain_learner(handmade())
-    loss, log = ppo.ppo_loss(pi.params, batch, pi.bases, EIPO.ppo)
+    pi = learner_of(handmade())
+    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.ppo)
     assert float(loss) == pytest.approx(3.0358106, rel=1e-6)
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
 
@@ -370,7 +390,7 @@ def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples(
     loss        5/2 + 21/8 - 0.01 * 1.4189385    at an advantage of 0
     """
     heads, none = [[1.0, 1.0], *[[0.0, 0.0]] * 3], [[0.0]] * 4
-    pi = plain_learner(handmade(critic=heads, estimator=[[0.0] * 3], actor=none))
+    pi = learner_of(handmade(critic=heads, estimator=[[0.0] * 3], actor=none))
     batch = dict(
         obs=jnp.ones((2, 1)),
         privileged=jnp.array([[1.0, 0.5, 2.0], [0.0, 0.0, 0.0]]),
@@ -379,7 +399,7 @@ def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples(
         advantage=jnp.zeros(2),
         log_prob=jnp.full(2, -0.91893853),  # of a normal at its mean
     )
-    loss, log = ppo.ppo_loss(pi.params, batch, pi.bases, EIPO.ppo)
+    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.ppo)
     assert (log["value_loss"], log["estimator_loss"]) == (5 / 2, 21 / 8)
     assert float(loss) == pytest.approx(5 / 2 + 21 / 8 - 0.014189385, rel=1e-6)
 
@@ -391,10 +411,10 @@ def test_algorithm1_line09_ppo_loss_entropy_of_two_joints():
     loss      -0.01 * 4.9173186
     """
     params = handmade(actor=((0.0, 0.0), (0.0, 0.0))) | dict(log_std=np.log([2.0, 4.0]))
-    pi = plain_learner(params)
+    pi = learner_of(params)
     batch = dict(obs=jnp.zeros((3, 1)), privileged=jnp.zeros((3, 1)), action=jnp.zeros((3, 2)))
     batch |= dict(target=jnp.zeros((3, 1)), advantage=jnp.zeros(3), log_prob=jnp.zeros(3))
-    loss, _ = ppo.ppo_loss(pi.params, batch, pi.bases, EIPO.ppo)
+    loss, _ = ppo.ppo_loss(pi.params, batch, EIPO.ppo)
     assert float(loss) == pytest.approx(-0.049173186, rel=1e-6)
 
 
@@ -408,14 +428,14 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, advantage=None, target=N
     advantage, target: others than usual
     likelier: by which factor (8, 16) the actions are likelier now than when they were taken
     """
-    sizes = dict(obs_size=2, frame_size=2, privileged_size=1, action_size=1)
-    env = SimpleNamespace(**sizes, mirror=None)
-    learner = ppo.init_learner(np.random.default_rng(0), env, 2, False, EIPO.ppo)
-    learner = learner._replace(lr=np.float32(cfg.lr if lr is None else lr))
+    env = SimpleNamespace(obs_size=2, privileged_size=1, action_size=1)
+    streams = "reward", "cost"
+    learner = ppo.init_learner(np.random.default_rng(0), env, streams, EIPO.ppo)
+    learner = replace(learner, lr=np.float32(cfg.lr if lr is None else lr))
     learner.params["log_std"] += np.float32(log_std)
     rng = np.random.default_rng(2)
     obs, privileged, action, usual = (dyadic(rng, 8, 16, width) for width in (2, 1, 1, 2))
-    mean, std, _ = policy(learner.params, obs, learner.bases)
+    mean, std, _ = policy(learner.params, obs)
     log_prob = np.asarray(networks.log_prob(mean, std, action)) - np.log(likelier)
     tau = Transition(obs, privileged, action, log_prob.astype(np.float32), *[None] * 6)
     est = Estimate(None, usual if target is None else target)
