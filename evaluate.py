@@ -15,14 +15,12 @@ from typing import NamedTuple
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so nothing that draws needs to work
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 import go1_env
 import tasks
-from runtime import deploy
+from runtime import run_folder
 from runtime.command import Parser, Refused, command
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
@@ -46,28 +44,6 @@ class Episodes(NamedTuple):
 # ---- a policy and a world to try it in ----
 
 
-def mlp(layers, x):
-    """`policy.mlp`, compiled."""
-    for i, (weights, bias) in enumerate(layers):
-        x = (jax.nn.elu(x) if i else x) @ weights + bias
-    return x
-
-
-@jax.jit
-def mean_action(estimator, actor, obs):
-    """The action (N, 12) [-] for obs (N, D), without exploration noise."""
-    return mlp(actor, jnp.concatenate([obs, mlp(estimator, obs)], -1))
-
-
-def deterministic(pi):
-    """A policy.Policy for many robots: a function of obs (N, D) that returns actions (N, 12) [-].
-
-    Its layers are compiled: for 330 robots NumPy takes three times as long.
-    """
-    layers = jax.tree.map(jnp.asarray, (pi.estimator, pi.actor))
-    return lambda obs: np.asarray(mean_action(*layers, obs))
-
-
 def evaluation_config(env_cfg, clip=None, nominal=False):
     """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
     return replace(
@@ -85,7 +61,7 @@ def evaluation_config(env_cfg, clip=None, nominal=False):
 
 
 def load(folder, clip=None, nominal=False, prime=False):
-    """The `deterministic` policy of a run folder, and the Config in which it is evaluated.
+    """The policy.Policy of a run folder, and the Config in which it is evaluated.
 
     clip:    of Eq. (9); None: as in training
     nominal: start from the nominal pose at rest, not from random poses as in training
@@ -94,19 +70,24 @@ def load(folder, clip=None, nominal=False, prime=False):
     path = Path(folder) / ("policy_prime.npz" if prime else "policy.npz")
     if prime and not path.exists():
         raise Refused(f"{path} does not exist: PPO has no pi', and EIPO's is written at the end")
-    pi, env_cfg = deploy.load(path)
-    return deterministic(pi), evaluation_config(env_cfg, clip, nominal)
+    pi, env_cfg = run_folder.load_policy(path)
+    return pi, evaluation_config(env_cfg, clip, nominal)
 
 
 # ---- episodes ----
 
 
-def play_episode(policy, env, command=None):
+def make_env(env_cfg, command):
+    """An environment with a robot for each command (N, 3) [m/s, m/s, rad/s], which it keeps."""
+    return go1_env.Go1Env(len(command), env_cfg, commands=tasks.Given(np.array(command, float)))
+
+
+def play_episode(policy, env):
     """Play one episode of every robot. Yields of each step: reward, log, who is alive, who falls.
 
-    command: (N, 3) [m/s, m/s, rad/s] that the episodes keep; with None the task draws one for each
+    policy: function of obs (N, D) that returns actions (N, 12) [-], as Policy.mean
     """
-    obs, _ = env.reset(SEED, command)
+    obs, _ = env.reset(SEED)
     alive = np.ones(env.num_envs, bool)
     for _ in range(env.env_cfg.episode_steps):
         obs, reward, terminated, truncated, info = env.step(policy(obs))
@@ -114,14 +95,14 @@ def play_episode(policy, env, command=None):
         alive = alive & ~(terminated | truncated)
 
 
-def run_episodes(policy, env, command=None):
+def run_episodes(policy, env):
     """The Episodes of all robots of env, and their speed ahead (T, N) [m/s], NaN after the end.
 
     Arguments are those of `play_episode`.
     """
     rows = [
         (reward, *(log[name] for name in ("v_x", "power", "pitch", "roll")), alive, falls)
-        for reward, log, alive, falls in play_episode(policy, env, command)
+        for reward, log, alive, falls in play_episode(policy, env)
     ]
     *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
     reward, v_x, power, pitch, roll = (np.where(alive, x, 0.0) for x in series)
@@ -180,10 +161,10 @@ def interval(x, statistic=np.mean, **options):
 
 def evaluate(folder, args):
     """Play episodes of a run, and return what `main` prints of it: numbers, by name and unit."""
-    policy, env_cfg = load(folder, args.clip, prime=args.prime)
+    pi, env_cfg = load(folder, args.clip, prime=args.prime)
     commands = commands_of(env_cfg.task)
     asked = np.tile(commands, (-(-args.episodes // len(commands)), 1))  # equally many of each
-    played, _ = run_episodes(policy, go1_env.Go1Env(len(asked), env_cfg), asked)
+    played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
     moving = asked.any(1) | (len(commands) == 1)
     return {

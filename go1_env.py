@@ -77,26 +77,24 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
-    commands: an object that draws commands, see tasks.py, which environments may share; None makes
-              the task's own
+    commands: of tasks.py, which environments may share: tasks.Given, or None for the task's own
     """
 
     action_size = 12
     # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
     privileged_size = 3
-    frame_size = FRAME_WIDTH  # an observation is a row of such frames
 
     def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, commands=None):
         self.num_envs = num_envs
         self.env_cfg = env_cfg
-        self.rules = tasks.TASKS[env_cfg.task]
-        self.task_commands = self.commands = commands or self.rules.commands()
+        self.task = tasks.TASKS[env_cfg.task]
+        self.commands = commands or self.task.commands()
         self.obs_size = env_cfg.history * FRAME_WIDTH
         self.mirror = dict(frame=FRAME_MIRROR, privileged=([0, 1, 2], [1, -1, 1]), action=JOINTS)
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         # MuJoCo would write MUJOCO_LOG.TXT into the user's folder. `step` counts warnings instead.
         mujoco.set_mju_user_warning(lambda message: None)
-        # from least to greatest, but drawn from the greatest, which a single tile gets
+        # computed from the greatest down, because linspace with one tile returns its first end
         levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]
         self.ground = None
         if levels.any():
@@ -118,7 +116,7 @@ class Go1Env:
         """All that the next step depends on, but for the rng: arrays that change only in place."""
         n = self.num_envs
         batch = self.batch
-        state = SimpleNamespace(
+        return SimpleNamespace(
             sim=batch.state,  # MuJoCo's own: positions, velocities, warm start
             friction=batch.expand("geom_friction"),  # (N, geoms, 3) [-]
             mass=batch.expand("body_mass"),  # (N, bodies) [kg]
@@ -137,24 +135,16 @@ class Go1Env:
             off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
+            command_weights=self.commands.weights,
         )
-        if isinstance(self.commands, tasks.Grid):
-            state.command_weights = self.commands.weights
-        return state
 
-    def reset(self, seed, command=None):
+    def reset(self, seed):
         """Start a new episode for every robot. Returns obs as `step` does, and an empty info.
 
         seed: what np.random.default_rng takes
-        command: (N, 3) or (3,) [m/s, m/s, rad/s] that the robots keep, also in later episodes;
-            None: commands are drawn
         """
         self.rng = np.random.default_rng(seed)
-        self.commands = self.task_commands
-        if command is not None:
-            self.commands = tasks.Given(np.broadcast_to(command, (self.num_envs, 3)).copy())
-        elif isinstance(self.commands, tasks.Grid):
-            self.commands.weights[:] = self.commands.initial_weights()
+        self.commands.start()
         self.state.kernels[:] = 0.0  # nothing from before the reset is credited
         self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
@@ -189,7 +179,7 @@ class Go1Env:
         power, cost = self._power_and_cost(physics)
         reward, cost = np.where(diverged, 0.0, [reward, cost])
         power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
-        forbidden = go1.ALL_BUT_FEET if self.rules.only_feet else go1.TRUNK_TO_THIGHS
+        forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
         fell = physics.touched[:, forbidden].any(-1) & ~diverged  # however lightly it touches
         overload = (power > (env_cfg.max_power or np.inf)) & ~fell & ~diverged
         terminated = diverged | fell | overload
@@ -218,7 +208,7 @@ class Go1Env:
         next control step.
         """
         motor = go1.motor_model if self.env_cfg.motor_model else go1.pd_torque
-        torque_speed = self.rules.torque_speed or self.env_cfg.motor_model
+        torque_speed = self.task.torque_speed or self.env_cfg.motor_model
         state = self.state
         torques = []
         speeds = [self.qvel[:, 6:].copy()]
@@ -264,7 +254,7 @@ class Go1Env:
         touch = self.contacts[:, go1.FEET] > 0
         landed = rewards.landings(state.off_ground, touch, self.period)
         state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
-        task_reward = self.rules.reward(velocity, state.command)
+        task_reward = self.task.reward(velocity, state.command)
         if self.env_cfg.reward == "paper":
             return task_reward, task_reward
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
@@ -292,7 +282,7 @@ class Go1Env:
         log |= dict(command_x=command_x)
         if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=task_reward)
-        if isinstance(self.commands, tasks.Grid):
+        if self.commands.weights.size:
             log |= dict(command_area=np.full(self.num_envs, self.commands.weights.mean()))
         return log
 

@@ -3,20 +3,17 @@
     pi = policy.load("policy.npz")
     target = pi.act(gravity, command, q, qd)  # 50 times a second
 
-No policy of ours has run on a real robot. The file's trace holds 50 control steps of the policy's
-own run in simulation, so that another program can be compared with it, row by row:
+No policy of ours has run on a real robot. What `act` takes and returns:
 
-| array          | width | unit       | meaning                                                  |
-|----------------|-------|------------|----------------------------------------------------------|
-| trace.time     | 1     | s          | since the policy was started; 0 where it starts anew     |
-| trace.gravity  | 3     | -          | unit vector along gravity in the trunk's frame           |
-| trace.command  | 3     | m/s, rad/s | v_x forward, v_y to the left, yaw rate to the left       |
-| trace.q        | 12    | rad        | joint angles; 0: a straight leg, down from a level trunk |
-| trace.qd       | 12    | rad/s      | joint speeds                                             |
-| trace.frame    | 44    | as above   | what these become, with the last action and the clock    |
-| trace.estimate | 3     | m/s        | velocity of the trunk, which the robot cannot measure    |
-| trace.action   | 12    | -          | the actor's output, clipped at +- action_limit           |
-| trace.target   | 12    | rad        | joint targets: q_nominal + action_scale * action         |
+| array    | width | unit       | meaning                                                  |
+|----------|-------|------------|----------------------------------------------------------|
+| gravity  | 3     | -          | unit vector along gravity in the trunk's frame           |
+| command  | 3     | m/s, rad/s | v_x forward, v_y to the left, yaw rate to the left       |
+| q        | 12    | rad        | joint angles; 0: a straight leg, down from a level trunk |
+| qd       | 12    | rad/s      | joint speeds                                             |
+| estimate | 3     | m/s        | velocity of the trunk, which the robot cannot measure    |
+| action   | 12    | -          | the actor's output, clipped at +- action_limit           |
+| target   | 12    | rad        | joint targets: q_nominal + action_scale * action         |
 
 The trunk's frame has x forward, y to the left, z up; its velocity is in this frame. A trunk with
 its nose up has a negative gravity[0], one with its right side down a negative gravity[1]. Joints
@@ -24,33 +21,34 @@ are FR, FL, RR, RL x hip, thigh, calf. A positive hip angle moves the foot to th
 thigh angle moves it back, and a calf's is always negative. All hips turn about +x, all thighs and
 calves about +y. A motor's torque in N m is kp * (target - q) - kd * qd, 200 times a second.
 
-Beside the trace the file has `actor.0.W`, `actor.0.b` and so on, the layers (n_in, n_out) and
-(n_out,) of an MLP with ELU between them; those of the estimator, likewise; and the fields of
-`Policy` under their own names, `config` as JSON.
+The file has `actor.0.W`, `actor.0.b` and so on, the layers (n_in, n_out) and (n_out,) of an MLP
+with ELU between them; those of the estimator, likewise; and the other fields of `Policy` under
+their own names, `config` as JSON.
 """
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-NUMBERS = ("log_std", "frame_scale", "q_nominal", "action_scale", "kp", "kd")
+NUMBERS = ("frame_scale", "q_nominal", "action_scale", "kp", "kd")
 
 
 @dataclass
 class Policy:
-    """A policy for one robot, which remembers what it has seen since `start`."""
+    """A trained policy: `mean` for what robots see, or `act` for one robot that measures.
+
+    `act` remembers what the robot has measured since `start`.
+    """
 
     actor: list  # layers [(W, b), ...]: H frames and the estimate -> action (12,) [-]
     estimator: list  # layers: H frames of 44 -> velocity of the trunk (3,) [m/s]
-    log_std: np.ndarray  # (12,) of the noise in training; a deployed policy takes the mean
     frame_scale: np.ndarray  # (44,) from a frame in SI units to what the networks see
     q_nominal: np.ndarray  # (12,) [rad] the pose of action 0
     action_scale: np.ndarray  # (12,) [rad] per unit of action
     kp: float  # [N m / rad] of the joints' PD controllers
     kd: float  # [N m s / rad]
     config: dict  # of the world in which it was trained: tasks.Config, as JSON has it
-    trace: dict = field(default_factory=dict)  # the columns above, (50, ...) float32
 
     def __post_init__(self):
         self.start()
@@ -62,15 +60,15 @@ class Policy:
     def act(self, gravity, command, q, qd):
         """Joint targets (12,) [rad] for what a robot measures, in the units of the table above.
 
-        It leaves `frame`, `estimate` and `action` behind. The networks see the last H frames, the
-        oldest first; at the start all of them are the first one.
+        It leaves `estimate` and `action` behind. The networks see the last H frames, the oldest
+        first; at the start all of them are the first one.
         """
         period = self.config["timestep"] * self.config["physics_steps"]
         phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
         clock = [np.sin(phase), np.cos(phase)]
         pose = np.subtract(q, self.q_nominal)
-        self.frame = np.concatenate([gravity, command, pose, qd, self.action, clock])
-        seen = (self.frame * self.frame_scale).astype(np.float32)
+        frame = np.concatenate([gravity, command, pose, qd, self.action, clock])
+        seen = (frame * self.frame_scale).astype(np.float32)
         history = self.config["history"]
         self.frames = [*self.frames[1:], seen] if self.frames else [seen] * history
         self.steps += 1
@@ -102,25 +100,24 @@ def save(file, pi):
     for net, layers in (("actor", pi.actor), ("estimator", pi.estimator)):
         for i, (weights, bias) in enumerate(layers):
             arrays |= {f"{net}.{i}.W": weights, f"{net}.{i}.b": bias}
-    arrays |= {f"trace.{name}": x for name, x in pi.trace.items()}
     np.savez(file, **arrays, config=json.dumps(pi.config))
 
 
 def load(path):
-    """The Policy in a file, or an error of whatever reader finds that it is none."""
+    """The Policy in a file, or an error of whatever reader finds that it is none.
+
+    Files of older runs have more arrays, which are ignored.
+    """
     with open(path, "rb") as file, np.load(file) as archive:
         arrays = dict(archive)
     config = json.loads(str(arrays.pop("config")))
     if not all(np.isfinite(x).all() for x in arrays.values()):
         raise ValueError("not all of its numbers are finite")
-    layers, trace = dict(actor=[], estimator=[]), {}
+    layers = dict(actor=[], estimator=[])
     for net, found in layers.items():
         while (name := f"{net}.{len(found)}.") + "W" in arrays:
             found.append((arrays[name + "W"], arrays[name + "b"]))
-    for name in arrays:
-        if name.startswith("trace."):
-            trace[name.removeprefix("trace.")] = arrays[name]
-    pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config, trace=trace)
+    pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config)
     pi.act(np.zeros(3), np.zeros(3), np.zeros(12), np.zeros(12))  # do its layers fit?
     pi.start()
     return pi

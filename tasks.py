@@ -13,17 +13,21 @@ from scipy.ndimage import convolve
 
 import rewards
 
-# ---- commands ----
+# ---- commands: objects with `draw`, `record`, `start`, `weights` and, of a task, an `example` ----
 
 
 class Range:
     """Commands that are drawn uniformly, from 0 to a greatest one."""
 
     low = np.zeros(3)
+    weights = np.zeros(0)  # all that commands learn
 
     def __init__(self, *high):
         """high: v_x, v_y [m/s] and yaw rate [rad/s] of the greatest command."""
-        self.high = self.example = np.array(high)
+        self.high = self.example = np.array(high)  # which one shows and evaluates the task with
+
+    def start(self):
+        """Forget what was learned."""
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots, which are given by their numbers."""
@@ -33,7 +37,7 @@ class Range:
         """Learn how well n commands were followed. Here there is nothing to learn."""
 
 
-class Given:
+class Given(Range):
     """Commands that somebody gives, one for each robot, instead of a task."""
 
     def __init__(self, command):
@@ -43,9 +47,6 @@ class Given:
     def draw(self, rng, robots):
         """The commands (n, 3) of these robots."""
         return self.command[robots]
-
-    def record(self, command, kernels):
-        """Learn nothing."""
 
 
 class Grid:
@@ -67,15 +68,16 @@ class Grid:
     # in a success the means of the two kernels of Eq. (8) are above these [lab code]
     LINEAR, ANGULAR = 0.8, 0.5
     SMALL = 0.2  # m/s, a shorter command (v_x, v_y) becomes 0 [lab code]
-    example = np.array([1.0, 0.0, 0.0])  # to show and to evaluate the task with
+    example = np.array([1.0, 0.0, 0.0])
 
     def __init__(self):
-        self.weights = self.initial_weights()  # (22, 40) [-] over v_x and yaw rate
+        self.weights = np.zeros((22, 40))  # [-] of the cells, over v_x and yaw rate
+        self.start()
 
-    def initial_weights(self):
-        """Weights (22, 40) [-] of the cells: 1 within +- START, 0 elsewhere."""
+    def start(self):
+        """Set the weights to 1 within +- START and to 0 elsewhere."""
         x, yaw = (np.arange(self.low[i], self.high[i], self.CELL) + self.CELL / 2 for i in (0, 2))
-        return (np.abs(x)[:, None] < self.START) * (np.abs(yaw) < self.START) * 1.0
+        self.weights[:] = (np.abs(x)[:, None] < self.START) * (np.abs(yaw) < self.START)
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots.

@@ -26,8 +26,8 @@ import numpy as np
 import eipo
 import go1_env
 import tasks
-from mirror import Mirrored
-from runtime import deploy, jax_setup, metrics, parallel, run_folder
+from mirror import Mirrored, plain_policy
+from runtime import checkpoint, jax_setup, metrics, parallel, run_folder
 from runtime.command import Refused, command
 from runtime.flags import Options, check, parse, settle
 from runtime.interrupt import StopRequest
@@ -47,7 +47,7 @@ def resumed_settings(folder, given, processes):
 
     given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, began_with, was = run_folder.load_settings(folder / "checkpoint.npz")
+    env_cfg, cfg, began_with, was = checkpoint.load_settings(folder / "checkpoint.npz")
     if was != processes:
         raise Refused(f"{folder} is a run on {was} process(es): --resume needs as many")
     settings = asdict(env_cfg) | asdict(cfg)
@@ -71,15 +71,16 @@ def save(folder, state, envs, shown, cfg, is_last):
 
     shown: the environments as the policies see them
     """
-    run_folder.save_checkpoint(folder / "checkpoint.npz", state, envs, cfg)
+    checkpoint.save(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index():
         return
     learners = dict(policy=state.pi)
     if state.pi_prime and is_last:  # the rival, with which one compares pi, Eq. (3)
         learners |= dict(policy_prime=state.pi_prime)
     for name, learner in learners.items():
-        learner = jax.tree.map(np.asarray, learner)  # of several processes this one alone goes on
-        deploy.write(folder / f"{name}.npz", learner, shown[0], envs[0].env_cfg, is_last)
+        params = jax.tree.map(np.asarray, learner.params)  # of several processes this one goes on
+        layers = plain_policy(params, shown[0])
+        run_folder.save_policy(folder / f"{name}.npz", layers, envs[0].env_cfg)
     try:
         metrics.draw_curves(folder)
     except Exception as error:  # a picture is not worth a run
@@ -93,14 +94,14 @@ def train(folder, envs, cfg, options, command):
     shared = shown if jax.process_count() == 1 else [parallel.Shared(env) for env in shown]
     start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
     if options.resume:
-        start = run_folder.load_checkpoint(folder / "checkpoint.npz", start, envs)
+        start = checkpoint.load(folder / "checkpoint.npz", start, envs)
     arrays = parallel.everywhere(dict(key=start.key, pi=start.pi, pi_prime=start.pi_prime))
     is_main = jax.process_index() == 0
     log = metrics.Log(folder, start.iteration, cfg.iterations)
     if is_main:
         what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
         print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
-    weights = getattr(envs[0].commands, "weights", np.zeros(1))
+    weights = envs[0].commands.weights
     weights_before = weights.copy()
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo

@@ -5,13 +5,12 @@ from matplotlib.figure import Figure
 
 import evaluate
 import go1
-import go1_env
 
 SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
 COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
 
 
-def watch(policy, env, commands):
+def watch(policy, env):
     """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool after T control steps, and mean speeds
     (N,) [m/s]. Recording begins when SETTLE has passed.
 
@@ -20,7 +19,7 @@ def watch(policy, env, commands):
     contacts = []
     speeds = []
     first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
-    for i, (_, log, _, _) in enumerate(evaluate.play_episode(policy, env, commands)):
+    for i, (_, log, _, _) in enumerate(evaluate.play_episode(policy, env)):
         if i >= first:
             contacts.append(env.contacts[:, -4:] > 0)
             speeds.append(log["v_x"])
@@ -44,9 +43,9 @@ def footfalls(folder, speeds):
 
     speeds: [m/s] ahead, asked for, a robot each; a task without such commands has one robot
     """
-    policy, env_cfg = evaluate.load(folder, nominal=True)
-    env = go1_env.Go1Env(len(speeds), env_cfg)
-    contacts, reached = watch(policy, env, np.outer(speeds, [1.0, 0.0, 0.0]))
+    pi, env_cfg = evaluate.load(folder, nominal=True)
+    env = evaluate.make_env(env_cfg, np.outer(speeds, [1.0, 0.0, 0.0]))
+    contacts, reached = watch(pi.mean, env)
     asks = len(evaluate.commands_of(env_cfg.task)) > 1
     speeds = speeds if asks else speeds[:1]
     figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")

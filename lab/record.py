@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
-import go1_env
 from lab.statistics import NUMBERS
 from runtime import run_folder
 from runtime.command import Refused
@@ -222,9 +221,9 @@ def play(folder, task, num_episodes):
     has_prime = (folder / "policy_prime.npz").exists()
     rows, speeds = [], []
     for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
-        policy, env_cfg = evaluate.load(folder, nominal=nominal, prime=prime)
-        env = go1_env.Go1Env(len(asked), env_cfg)
-        episodes, v_x = evaluate.run_episodes(policy, env, asked)
+        pi, env_cfg = evaluate.load(folder, nominal=nominal, prime=prime)
+        env = evaluate.make_env(env_cfg, asked)
+        episodes, v_x = evaluate.run_episodes(pi.mean, env)
         if not (prime or nominal):
             speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
         table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()

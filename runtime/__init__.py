@@ -1,7 +1,8 @@
 """What a run needs and the paper does not mention.
 
 flags.py        the flags of `train.py`, and with which settings one can train
-run_folder.py   what a run leaves on disk; deploy.py: policy.npz, written and tried
+run_folder.py   what a run leaves on disk; checkpoint.py has the file with which it goes on
+viewer.py       a robot as MuJoCo draws it
 metrics.py      the numbers of a run, its line on the console, its pictures
 interrupt.py    how a run ends when it is told to
 jax_setup.py    what JAX computes with, and on what the last digits of a run depend

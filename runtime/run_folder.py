@@ -8,7 +8,8 @@
     lock              empty; a process that trains here holds it
 
 Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader
-finds the old file or the new one. What cannot be read is refused, in one line.
+finds the old file or the new one. What cannot be read is refused, in one line. checkpoint.npz has a
+file of its own, `checkpoint.py`, because it takes JAX.
 """
 
 import json
@@ -22,16 +23,13 @@ from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-import eipo
+import go1
+import go1_env
+import policy
 import tasks
-from go1_env import CORES
-from runtime import parallel
 from runtime.command import Refused
-from runtime.jax_setup import surroundings
 
 try:
     import fcntl
@@ -121,71 +119,32 @@ def save_config(folder, env_cfg, cfg, command, resume=False):
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
-    about |= dict(cpu=cpu_model(), cores=CORES)
+    about |= dict(cpu=cpu_model(), cores=go1_env.CORES)
     record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     text = json.dumps(record, indent=1) + "\n"
     replace_file(path, lambda file: file.write(text.encode()))
 
 
-# ---- checkpoint.npz ----
+# ---- policy.npz ----
 
 
-def saved(env):
-    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    # of one length on all processes
-    rng = np.array(json.dumps(env.rng.bit_generator.state), "U256")
-    return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
+def robot():
+    """What a policy has to know of our robot: fields of policy.Policy."""
+    scales = dict(frame_scale=go1_env.FRAME_SCALE, action_scale=go1_env.ACTION_SCALE)
+    return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
-def restore_env(env, arrays):
-    """Let env continue from what `saved` returned, with the same bits as if never stopped."""
-    for name, x in vars(env.state).items():
-        x[:] = arrays[name]
-    env.batch.set_const()  # what MuJoCo derives from the masses
-    env.rng.bit_generator.state = json.loads(str(arrays["rng"]))
+def save_policy(path, layers, env_cfg):
+    """Write policy.npz; layers: of actor and estimator, see `mirror.plain_policy`."""
+    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg))
+    replace_file(path, lambda file: policy.save(file, pi))
 
 
-def save_checkpoint(path, state, envs, cfg):
-    """Write the State, the settings, and the environments of every process, which all call this."""
-    leaves = jax.tree_util.tree_leaves_with_path(state)
-    arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
-    for i, env in enumerate(envs):
-        of_all = parallel.everyone({name: x[None] for name, x in saved(env).items()})
-        for name, each in of_all.items():
-            arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
-    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(surroundings=surroundings(), processes=jax.process_count())
-    arrays["settings"] = np.array(json.dumps(settings))
-    if jax.process_index() == 0:
-        replace_file(path, lambda file: np.savez(file, **arrays))
-
-
-def load_settings(path):
-    """Both Configs of a checkpoint, its `surroundings`, and how many processes there were."""
-    arrays = read_npz(path)
+def load_policy(path):
+    """The Policy in a policy.npz, and the tasks.Config of its world. Its robot must be ours."""
     with reading(path):
-        record = json.loads(str(arrays["settings"]))
-        env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
-        return env_cfg, eipo.Config(**cfg), record["surroundings"], record["processes"]
-
-
-def load_checkpoint(path, template, envs):
-    """The State in a checkpoint, of the same shape as template; envs are restored in place.
-
-    Of several processes each reads it, and restores its own environments.
-    """
-    process = jax.process_index()
-    arrays = read_npz(path)
-
-    def restore(key, like):
-        found = arrays["state" + (name := jax.tree_util.keystr(key))]
-        if found.shape != np.shape(like):
-            raise ValueError(f"{name} has the shape {found.shape}, and not {np.shape(like)}")
-        return found.item() if isinstance(like, int | float) else jnp.asarray(found)
-
-    with reading(path):
-        state = jax.tree_util.tree_map_with_path(restore, template)
-        for i, env in enumerate(envs):
-            prefix = f"process{process}.env{i}."
-            restore_env(env, {name: arrays[prefix + name] for name in saved(env)})
-    return state
+        pi = policy.load(path)
+        other = [name for name, x in robot().items() if not np.array_equal(getattr(pi, name), x)]
+        if other:
+            raise ValueError(f"its robot has another {', '.join(other)}")
+        return pi, tasks.read_config(pi.config)

@@ -17,8 +17,9 @@ import go1
 import go1_env
 import ppo
 import tasks
+from mirror import plain_policy
 from networks import Layer
-from runtime import deploy, run_folder
+from runtime import run_folder
 from runtime.flags import settle
 
 LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
@@ -237,7 +238,7 @@ def make_run(folder, task="flat", action=None, **learner):
         pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
-    deploy.write(folder / "policy.npz", pi, env, env_cfg, last=False)
+    run_folder.save_policy(folder / "policy.npz", plain_policy(pi.params, env), env_cfg)
     return folder
 
 

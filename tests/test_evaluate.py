@@ -17,8 +17,8 @@ def asked(monkeypatch):
     """Instead of episodes: robot k of them performs at k % 2. A list of what was asked for."""
     seen = []
 
-    def run_episodes(policy, env, commands):
-        seen.append((env.env_cfg, commands))
+    def run_episodes(policy, env):
+        seen.append((env.env_cfg, env.commands.command))
         columns = [np.arange(env.num_envs) % 2.0] * len(evaluate.Episodes._fields)
         return evaluate.Episodes(*columns), None
 

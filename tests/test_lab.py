@@ -14,7 +14,6 @@ from support import LAMBDAS, ROOT, error_of, make_run
 
 import eipo
 import evaluate
-import go1_env
 import policy
 import tasks
 from lab import figures, footfalls, record
@@ -294,9 +293,9 @@ def test_feet_of_a_trot():
     """The policy of flat ground trots: a front foot and the hind foot across are more often
     together on the ground or in the air than two feet of one side.
     """
-    policy, env_cfg = evaluate.load(RESULTS / "flat", nominal=True)
-    env = go1_env.Go1Env(2, env_cfg)
-    contacts, speed = footfalls.watch(policy, env, np.array([[0.6, 0, 0], [1, 0, 0]]))
+    pi, env_cfg = evaluate.load(RESULTS / "flat", nominal=True)
+    env = evaluate.make_env(env_cfg, [[0.6, 0, 0], [1, 0, 0]])
+    contacts, speed = footfalls.watch(pi.mean, env)
     assert contacts.shape == (footfalls.SHOWN / env.period, 2, 4)
     alike = lambda a, b: (contacts[..., a] == contacts[..., b]).mean()  # noqa: E731
     fr, fl, rr, rl = range(4)

@@ -20,10 +20,10 @@ from support import ROOT, error_of, make_run, started
 import play
 import tasks
 import terrain
-from runtime import deploy
+from runtime import run_folder, viewer
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
-if not play.DISPLAY:
+if not play.has_display:
     os.environ.pop("MUJOCO_GL", None)  # play.py set it for itself, not for the tests' processes
 HEADLESS = {name: x for name, x in os.environ.items() if name not in DISPLAYS}
 needs_gl = pytest.mark.skipif(
@@ -41,7 +41,7 @@ def runs(tmp_path_factory):
 
 @pytest.fixture
 def env():
-    env = play.make_env(tasks.task_config("flat"))
+    env = play.make_env(tasks.task_config("flat"), np.zeros(3))
     env.reset(0)
     return env
 
@@ -100,7 +100,6 @@ def test_two_runs_stand_side_by_side(gifs):
 def test_without_opengl_or_display_a_line_says_what_to_do(runs, capsys, monkeypatch):
     for display in DISPLAYS:
         monkeypatch.delenv(display, raising=False)
-    monkeypatch.setattr(play, "DISPLAY", None)
     if sys.platform == "linux":
         assert "--gif" in error_of(capsys, play.main, runs["flat"])
     monkeypatch.setenv("MUJOCO_GL", "off")
@@ -128,7 +127,7 @@ def test_what_is_no_run_folder_is_one_line(tmp_path, capsys, monkeypatch, argv):
 def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
     seen = []
     monkeypatch.setattr(
-        play, "watch", lambda env, steps, asked, *_: seen.append((next(steps), asked))
+        viewer, "window", lambda env, steps, asked, *_: seen.append((next(steps), asked))
     )
     assert play.main([str(runs[task]), *argv.split()]) == 0
     ((log, asked),) = seen
@@ -141,7 +140,7 @@ def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, t
 )
 def test_the_ground_is_the_runs_roughest(task, height):
     """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point."""
-    env = play.make_env(tasks.task_config(task))
+    env = play.make_env(tasks.task_config(task), np.zeros(3))
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
     assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
@@ -151,9 +150,9 @@ def test_the_ground_is_the_runs_roughest(task, height):
 def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then):
     """The first policy answers 0.5 to everything, the one that replaces it 1.5."""
     path = make_run(tmp_path, "flat", action=0.5) / "policy.npz"
-    pi, env_cfg = deploy.load(path)
-    env, seen = play.make_env(env_cfg), []
-    steps = play.play(env, pi, np.zeros(3), follow=path if follow else None)
+    pi, env_cfg = run_folder.load_policy(path)
+    env, seen = play.make_env(env_cfg, np.zeros(3)), []
+    steps = play.play(env, pi, follow=path if follow else None)
     for i, _ in enumerate(itertools.islice(steps, 4)):
         seen.append(np.unique(env.state.action).tolist())
         if i == 1:
@@ -193,14 +192,14 @@ class FakeViewer:
 
 def watch(monkeypatch, env, keys, command, *options):
     """The fake viewer after one frame for each key, which takes 5 ms; and how long it slept [s]."""
-    viewer, slept = FakeViewer(keys), []
+    fake, slept = FakeViewer(keys), []
     clock = SimpleNamespace(sleep=slept.append, monotonic=itertools.count(0, 0.005).__next__)
-    monkeypatch.setattr(play, "time", clock)
-    monkeypatch.setattr(mujoco.viewer, "launch_passive", viewer.launch_passive)
-    monkeypatch.setattr(play, "DISPLAY", ":0")
+    monkeypatch.setattr(viewer, "time", clock)
+    monkeypatch.setattr(mujoco.viewer, "launch_passive", fake.launch_passive)
+    monkeypatch.setenv("DISPLAY", ":0")
     log = dict(v_x=np.array([1.26]), power=np.array([300.4]))
-    play.watch(env, itertools.repeat(log), command, *options)
-    return viewer, slept
+    viewer.window(env, itertools.repeat(log), command, *options)
+    return fake, slept
 
 
 @pytest.mark.parametrize(
@@ -222,22 +221,23 @@ def test_keys_set_the_command(monkeypatch, env, keys, command):
 
 def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch, env):
     """A control step lasts 20 ms, of which a frame's work takes 5; four times slower 80."""
-    viewer, slept = watch(monkeypatch, env, [0] * 4, np.zeros(3))
-    assert "v_x 1.3 m/s   300 W" in viewer.text
+    shown, slept = watch(monkeypatch, env, [0] * 4, np.zeros(3))
+    assert "v_x 1.3 m/s   300 W" in shown.text
     assert slept == pytest.approx([0.015] * 4)
-    assert viewer.data.qpos.tolist() == env.qpos[0].tolist()
-    assert viewer.cam.trackbodyid == viewer.model.body("trunk").id
-    viewer, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0)
+    assert shown.data.qpos.tolist() == env.qpos[0].tolist()
+    assert shown.cam.trackbodyid == shown.model.body("trunk").id
+    shown, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0)
     assert slept == pytest.approx([0.075] * 2)
 
 
 LOUD = """
 import os, sys, play
-show = play.show
+from runtime import viewer
+show = viewer.show
 def loud(*a):
     show(*a)
     print("shown", flush=True)
-play.show = loud
+viewer.show = loud
 print("returned", play.main(sys.argv[1:]), flush=True)
 os._exit(0)  # at exit GLFW and Mesa's software renderer may wait for each other forever
 """
@@ -252,10 +252,10 @@ def test_the_window_runs_until_ctrl_c(runs):
         try:
             display = HEADLESS | dict(DISPLAY=f":{server.stdout.readline().strip()}")
             command = [sys.executable, "-c", LOUD, runs["velocity"]]
-            with started(command, cwd=ROOT, env=display) as viewer:
-                shown = [viewer.stdout.readline() for _ in range(10)]
-                viewer.send_signal(signal.SIGINT)
-                stdout, stderr = viewer.communicate(timeout=20)
+            with started(command, cwd=ROOT, env=display) as process:
+                shown = [process.stdout.readline() for _ in range(10)]
+                process.send_signal(signal.SIGINT)
+                stdout, stderr = process.communicate(timeout=20)
         finally:
             server.terminate()
     assert shown == ["shown\n"] * 10
@@ -274,9 +274,9 @@ def drawn_ground(model, data, xy):
 @pytest.fixture(scope="module")
 def hills():
     """An environment on 15 cm, and its drawing: env, model, data."""
-    env = play.make_env(tasks.task_config("rough"))
+    env = play.make_env(tasks.task_config("rough"), np.zeros(3))
     env.reset(0)
-    return env, *play.make_scene(env)
+    return env, *viewer.make_scene(env)
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (0, 4), (4, 4), (1.35, 2.6)], ids=str)
@@ -286,9 +286,26 @@ def test_the_drawn_ground_is_the_simulated_one_on_all_sides(hills, corner):
     """
     env, model, data = hills
     env.qpos[0, :2] = terrain.origin(0) + np.clip(corner, 0.05, 3.95)
-    play.show(env, model, data)
+    viewer.show(env, model, data)
     assert data.body("trunk").xpos[2] == env.qpos[0, 2]
     for way in itertools.product((-10, -2.3, 0, 0.1, 10), (-10, 0, 1.5, 10)):
         way = np.array(way) + 1e-6
         real = terrain.height(env.ground, terrain.wrap(env.qpos[0, :2] + way, np.array(0)))
         assert drawn_ground(model, data, data.qpos[:2] + way) == pytest.approx(real, abs=1e-4)
+
+
+def test_the_robot_hears_a_command_at_once(env):
+    asked = np.zeros(3)
+    env = play.make_env(tasks.task_config("flat"), asked)
+    env.reset(0)
+    for v_x in (0.25, 0.75):
+        asked[0] = v_x
+        env.step(np.zeros((1, 12)))
+        assert env.state.command[0, 0] == v_x
+
+
+def test_play_takes_no_jax(runs):
+    """Which would take a second to start."""
+    code = "import sys, play, evaluate; print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout == "False\n"

@@ -34,15 +34,16 @@ LAYERS = {
     "runtime/interrupt": set(),
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
+    "runtime/run_folder": {"numpy"},
+    "evaluate": {"numpy", "scipy"},
+    "runtime/viewer": {"numpy", "mujoco", "PIL"},
+    "play": {"numpy"},
+    "runtime/jax_setup": {"jax"},
     "runtime/parallel": {"numpy", "jax"},
     "runtime/flags": set(),
-    "runtime/jax_setup": {"jax"},
-    "runtime/run_folder": {"numpy", "jax"},
-    "runtime/deploy": {"numpy"},
+    "runtime/checkpoint": {"numpy", "jax"},
     "runtime/metrics": {"numpy", "matplotlib"},
     "train": {"numpy", "jax"},
-    "evaluate": {"numpy", "jax", "scipy"},
-    "play": {"numpy", "mujoco", "PIL"},
 }
 # what the learner may import of ours: it knows no robot, no file and no process
 LEARNER = dict(

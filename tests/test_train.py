@@ -140,7 +140,7 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
         train.go1_env, "Go1Env", lambda *x, **y: made.append(environment(*x, **y)) or made[-1]
     )
     run("--task", "curriculum", "--out", tmp_path / "run")
-    env, env_prime, *_ = made  # and one for the trace of each policy that is saved
+    env, env_prime = made
     # a success in the corner of the first region
     env_prime.commands.record(np.array([[0.75, 0.0, 0.75]]), np.ones((1, 2)))
     assert env.state.command_weights[4, 22] == pytest.approx(0.2)

@@ -8,9 +8,11 @@ import pytest
 from support import FROZEN, NOMINAL, QUARTER, ROOT, make, place, quiet, still
 
 import energy
+import evaluate
 import go1
 import go1_env
 import policy
+import tasks
 
 
 def joints(*values):
@@ -211,8 +213,9 @@ def random_targets():
 def policy_targets():
     """Where the shipped policy of flat ground is after a second at 1 m/s, and its next targets."""
     pi = policy.load(ROOT / "results" / "flat" / "policy.npz")
-    env = make(1, noise=1.0, friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0)
-    env.reset(0, [1.0, 0.0, 0.0])
+    plain = dict(friction=(0.8, 0.8), payload=(0.0, 0.0), start_spread=0.0, stagger=False)
+    env = evaluate.make_env(tasks.task_config(**plain), [[1.0, 0.0, 0.0]])
+    env.reset(0)
     targets = []
     for t in range(100):
         if t == 50:

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import frames, make
+from support import frames
 
 import evaluate
+import policy
 import tasks
 from lab import statistics
 
@@ -85,11 +86,11 @@ def test_peak_velocity_is_of_the_first_episode(episodes):
 
 
 def test_the_policy_that_is_measured_has_no_noise():
-    """D42. The mean, 4 (3 obs) = 12 and 24, whatever the deviation; the same every time."""
+    """D42. The mean, 4 (3 obs) = 12 and 24, the same every time."""
     layer = lambda *rows: [(np.array(rows, np.float32), np.zeros(1, np.float32))]  # noqa: E731
-    pi = SimpleNamespace(estimator=layer([3.0]), actor=layer([0.0], [4.0]))
-    act, obs = evaluate.deterministic(pi), np.array([[1.0], [2.0]], np.float32)
-    assert act(obs).tolist() == act(obs).tolist() == [[12.0], [24.0]]
+    pi = policy.Policy(layer([0.0], [4.0]), layer([3.0]), *[None] * 6)
+    obs = np.array([[1.0], [2.0]], np.float32)
+    assert pi.mean(obs).tolist() == pi.mean(obs).tolist() == [[12.0], [24.0]]
 
 
 def test_the_world_that_is_measured():
@@ -113,14 +114,14 @@ def test_commands_are_kept_and_seen_from_the_first_frame():
     """Robot 0 is asked for 0.25 m/s, robot 1 for 0.75: the first observation and the log say so
     (scale 2).
     """
-    env, seen = make(2, episode_steps=3, command_steps=3), []
+    world = tasks.task_config(episode_steps=3, command_steps=3, noise=0.0, stagger=False)
+    env, seen = evaluate.make_env(world, [[0.25, 0, 0], [0.75, 0, 0]]), []
 
-    def policy(obs):
+    def act(obs):
         seen.append(frames(obs)[:, :, 3])
         return np.zeros((2, 12))
 
-    commands = np.array([[0.25, 0, 0], [0.75, 0, 0]])
-    asked = [log["command_x"] for _, log, _, _ in evaluate.play_episode(policy, env, commands)]
+    asked = [log["command_x"] for _, log, _, _ in evaluate.play_episode(act, env)]
     assert np.array(seen).tolist() == [[[0.5] * 5, [1.5] * 5]] * 3
     assert np.array(asked).tolist() == [[0.25, 0.75]] * 3
 
