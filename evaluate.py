@@ -3,7 +3,7 @@ of 20 s without exploration noise, and prints a line for each run folder.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
 drawn, as in training, but the ground is new. Every policy starts from the same draws. The paper's
-figures are drawn by `python -m lab`.
+figures are drawn by `python -m results`.
 """
 
 import os
@@ -145,6 +145,23 @@ def commands_of(task):
     return np.arange(11)[:, None] / 10 * example if example.any() else np.zeros((1, 3))
 
 
+def numbers(e):
+    """The numbers of a run by which runs are compared, from columns of its episodes, (N,) each.
+
+    e: the fields of Episodes, and asked_v_x [m/s]. Energy per metre is of the episodes that ask for
+        0.1 m/s or more, if there are any.
+    """
+    moving = (e["asked_v_x"] >= 0.1) | (e["asked_v_x"].max() == 0)
+    return {
+        "performance": float(e["performance"].mean()),  # [-] Section V-A
+        "fell": float(e["fell"].mean()),  # share of episodes that ended early
+        "v_x": float(e["v_x"].mean()),  # [m/s]
+        "peak": float(iqm(e["peak"])),  # [m/s] as in Table I
+        "power": float(e["power"].mean()),  # [W] Eq. (9) without its bonus
+        "J/m": float(energy_per_metre(e["power"][moving], e["v_x"][moving])),
+    }
+
+
 def interval(x, statistic=np.mean, **options):
     """95 % interval (low, high) of a statistic of x (k, n), by the percentile bootstrap [V-D].
 
@@ -166,17 +183,17 @@ def evaluate(folder, args):
     asked = np.tile(commands, (-(-args.episodes // len(commands)), 1))  # equally many of each
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
-    moving = asked.any(1) | (len(commands) == 1)
+    n = numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
     return {
         "episodes": len(asked),
-        "performance": played.performance.mean(),
+        "performance": n["performance"],
         "95 % from": low,
         "to": high,
-        "fell": played.fell.mean(),
-        "v_x [m/s]": played.v_x.mean(),
-        "peak, IQM [m/s]": iqm(played.peak),
-        "power [W]": played.power.mean(),
-        "energy [J/m]": energy_per_metre(played.power[moving], played.v_x[moving]),
+        "fell": n["fell"],
+        "v_x [m/s]": n["v_x"],
+        "peak, IQM [m/s]": n["peak"],
+        "power [W]": n["power"],
+        "energy [J/m]": n["J/m"],
         "pitch [degrees]": np.abs(played.pitch).mean(),
         "roll [degrees]": np.abs(played.roll).mean(),
     }

@@ -15,10 +15,10 @@ import train
 from runtime import flags
 
 ROOT = Path(train.__file__).parent
-FILES = [*ROOT.glob("*.py"), *ROOT.glob("runtime/*.py"), *ROOT.glob("lab/*.py")]
+FILES = [*ROOT.glob("*.py"), *ROOT.glob("runtime/*.py"), *ROOT.glob("results/*.py")]
 MODULES = sorted(str(path.relative_to(ROOT).with_suffix("")) for path in FILES)
 # imports go down this list, never up; the second entry is what a module may import beyond it and
-# the standard library. The paper's part ends with eipo. lab/ comes after all of it
+# the standard library. The paper's part ends with eipo. results/ comes after all of it
 LAYERS = {
     "policy": {"numpy"},  # it runs on a robot, without the rest
     "energy": {"numpy"},
@@ -68,7 +68,7 @@ def imports(module):
         elif isinstance(node, ast.ImportFrom):
             package, *inside = node.module.split(".")
             names = inside or [alias.name for alias in node.names]
-            ours = package in ("runtime", "lab")
+            ours = package in ("runtime", "results")
             imported |= {f"{package}/{x}" for x in names} if ours else {package}
     return imported - set(sys.stdlib_module_names)
 
@@ -78,7 +78,7 @@ def test_imports_go_one_way(module):
     """A reader may stop at any file: the paper's equations know nothing of the environment, and so
     on.
     """
-    if module.startswith("lab/"):
+    if module.startswith("results/"):
         assert imports(module) <= set(MODULES) | PACKAGES
         return
     above = list(LAYERS)[: list(LAYERS).index(module)]
@@ -90,7 +90,7 @@ def test_imports_go_one_way(module):
 
 def test_modules_are_listed_and_packages_declared():
     """Not only what other packages bring along: they may stop to."""
-    assert {module for module in MODULES if not module.startswith("lab/")} == set(LAYERS)
+    assert {module for module in MODULES if not module.startswith("results/")} == set(LAYERS)
     page = (ROOT / "pyproject.toml").read_text()
     declared = re.search(r"^dependencies = \[(.*)\]", page, re.M)[1]
     assert PACKAGES - {"PIL"} | {"pillow"} == set(re.findall(r'"(\w+)', declared))
@@ -174,7 +174,7 @@ def test_every_deviation_that_is_cited_is_an_entry():
     page = (ROOT / "deviations.md").read_text()
     entries = [int(n) for n in re.findall(r"^(?:### |\*\*)D(\d+)\. \S", page, re.M)]
     assert sorted(entries) == list(range(1, len(entries) + 1))
-    folders = [ROOT / name for name in ("docs", "lab", "results", "runtime", "tests", "tutorial")]
+    folders = [ROOT / name for name in ("docs", "results", "runtime", "tests", "tutorial")]
     files = [*ROOT.glob("*.*"), *(path for folder in folders for path in folder.rglob("*.*"))]
     for path in files:
         if path.suffix in (".md", ".py", ".xml"):

@@ -32,7 +32,7 @@ from support import TINY
 import evaluate
 import play
 import train
-from lab import record
+from results import runs as record
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -184,7 +184,7 @@ def copied(copy):
     files = *ROOT.glob("*.py"), *ROOT.glob("*.xml"), ROOT / "pyproject.toml", ROOT / "README.md"
     for path in files:
         shutil.copy(path, copy)
-    for folder in ("runtime", "lab", "tests"):
+    for folder in ("runtime", "results", "tests"):
         shutil.copytree(ROOT / folder, copy / folder)
     return copy
 
@@ -209,7 +209,7 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     trained = [sys.executable, "train.py", "--task", "turn", *TINY, "--iterations", "1"]
     trained += ["--out", "run"]
     evaluated = [sys.executable, "evaluate.py", "run", "--episodes", "11"]
-    kept = [sys.executable, "-m", "lab", "add", "run", "--results", "kept", "--episodes", "11"]
+    kept = [sys.executable, "-m", "results", "add", "run", "--results", "kept", "--episodes", "11"]
     for command in (tested, trained, evaluated, kept):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from lab import record
+from results import runs as record
 
 FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
 RESULTS = Path(__file__).parents[1] / "results"

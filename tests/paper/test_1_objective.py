@@ -14,7 +14,7 @@ from support import EIPO, LAMBDAS, dyadic, handmade, learner_of, trees_equal
 
 import eipo
 from eipo import Dual, Estimate, Transition
-from lab import kinds
+from results import runs as kinds
 
 # line 13 as in Section IV-C.c
 PAPER = replace(EIPO, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)

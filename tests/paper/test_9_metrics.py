@@ -12,7 +12,7 @@ from support import frames
 import evaluate
 import policy
 import tasks
-from lab import statistics
+from results import figures
 
 
 class Scripted:
@@ -26,7 +26,7 @@ class Scripted:
 
     num_envs, env_cfg = 3, SimpleNamespace(episode_steps=20)
 
-    def reset(self, seed, command=None):
+    def reset(self, seed):
         self.t = 0
         return np.zeros((3, 1)), {}
 
@@ -131,16 +131,16 @@ def test_iqm_by_hand():
     25^2 ... 74^2.
     """
     for greatest in (7.0, 1000.0):
-        assert statistics.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
-    assert statistics.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
+        assert evaluate.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
+    assert evaluate.iqm(np.arange(100.0) ** 2) == np.mean(np.arange(25.0, 75.0) ** 2)
 
 
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5,
     3.5, 3.5, 5.5.
     """
-    row = statistics.summarise(
-        "x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], statistics.iqm
+    row = figures.summarise(
+        "x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7, np.nan])], evaluate.iqm
     )
     assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high", "x_n"]
     assert row["x"] == 3.5 and row["x_n"] == 8
@@ -148,7 +148,7 @@ def test_summarise_by_hand():
     assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
 
 
-@pytest.mark.parametrize(("statistic", "high"), [(np.mean, 3), (statistics.iqm, 2)])
+@pytest.mark.parametrize(("statistic", "high"), [(np.mean, 3), (evaluate.iqm, 2)])
 def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(statistic, high):
     """Three seeds have five episodes of 0 each; of the fourth's only one is finite, 8. All of four
     draws are this seed by a chance of 1/256 = 0.4 %, three or more by 13/256 = 5.1 %, none by 32 %.
@@ -158,7 +158,7 @@ def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(stat
     IQM 8.
     """
     alone = np.array([8.0, np.nan, np.nan, np.nan, np.nan])
-    row = statistics.summarise("x", [np.zeros(5), alone, np.zeros(5), np.zeros(5)], statistic)
+    row = figures.summarise("x", [np.zeros(5), alone, np.zeros(5), np.zeros(5)], statistic)
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (0, high)
 
 
@@ -166,9 +166,9 @@ def test_summarise_without_an_interval():
     """One seed has no interval over seeds; episodes that are all alike have one of width 0; nothing
     finite is NaN.
     """
-    row = statistics.summarise("x", [np.full(8, 2.0)])
+    row = figures.summarise("x", [np.full(8, 2.0)])
     assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(
         row["x_seeds_low"]
     )
-    *numbers, n = statistics.summarise("x", [np.array([np.nan])]).values()
+    *numbers, n = figures.summarise("x", [np.array([np.nan])]).values()
     assert len(numbers) == 5 and all(np.isnan(numbers)) and n == 0

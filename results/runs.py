@@ -1,4 +1,4 @@
-"""What came out of finished runs: a few tables for each task, from which every figure is drawn.
+"""What came out of finished runs: a few tables for each task, and the kinds of runs in them.
 
     results/TASK/runs.csv         a row per run: scores, command, commit, machine, every setting
     results/TASK/metrics.csv.gz   every tenth row of the metrics.csv of each run
@@ -7,7 +7,7 @@
                                   what evaluate.Episodes measures
     results/velocity/speed.csv    the mean speed of pi over time, for Figure 6
 
-`python -m lab add RUN...` plays the policies of run folders, and puts them in.
+`python -m results add RUN...` plays the policies of run folders, and puts them in.
 """
 
 import csv
@@ -22,16 +22,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+import eipo
 import evaluate
-from lab.statistics import NUMBERS
+import tasks
 from runtime import run_folder
 from runtime.command import Refused
 
-RESULTS = Path(__file__).parents[1] / "results"
+RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 # to be played of each policy from each kind of start, by results/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
+LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 # of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
 
@@ -153,11 +156,49 @@ def where(mine, e):
 
 
 def scores(run):
-    """NUMBERS of a run from random starts, and two of them from the nominal pose."""
-    random, nominal = (evaluation(run, start) for start in (False, True))
-    row = {name: float(number(random)) for name, number in NUMBERS.items()}
-    names = "performance", "fell"
-    return row | {f"{name}_nominal": float(NUMBERS[name](nominal)) for name in names}
+    """evaluate.numbers of a run from random starts, and two of them from the nominal pose."""
+    random, nominal = (evaluate.numbers(evaluation(run, start)) for start in (False, True))
+    return random | {f"{name}_nominal": nominal[name] for name in ("performance", "fell")}
+
+
+# ---- kinds of runs: EIPO or PPO(lambda), and whatever else is not usual for the task ----
+
+
+def kind(settings):
+    """What tables and figures call a run with these settings, {name: setting}."""
+    s = settings
+    usual = eipo.Config(**tasks.TASKS[s["task"]].learner)
+    name = f"PPO({s['lam']:g})"
+    if s["algo"] == "eipo":
+        name = "EIPO" + f" from {s['lam']:g}" * (s["lam"] != usual.lam)
+        name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != usual.lr_alpha)
+    name += " smooth" * (s["aux"] == "smooth") + " shaped" * (s["reward"] == "shaped")
+    return name + f", {s['num_envs']} robots" * (s["num_envs"] != usual.num_envs)
+
+
+def by_kind(runs, task):
+    """The runs of one task by kind: {"EIPO": [a Run of each seed, ...], "PPO(0)": ...}.
+
+    Refused if there are none, or if two of one kind differ in more than the seed, or not in it:
+    such runs are no sample of anything.
+    """
+    kinds = {}
+    for run in runs:
+        if run.settings["task"] == task:
+            kinds.setdefault(kind(run.settings), []).append(run)
+    if not kinds:
+        raise Refused(f"none of the runs is of the task {task}")
+    for name, (first, *others) in kinds.items():
+        for other in others:
+            a, b = first.settings, other.settings
+            names = {x for x in a.keys() & b.keys() if a[x] != b[x]}
+            if a["algo"] == "ppo":  # which reads no step of alpha
+                names = {x for x in names if not x.endswith("_alpha")}
+            if names != {"seed"}:
+                what = f"{first.name} and {other.name} are {name} and differ in"
+                raise Refused(f"{what} {', '.join(sorted(names)) or 'nothing'}")
+    place = dict(zip(KINDS, range(10), strict=True))
+    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 10), x[0])))
 
 
 # ---- into the tables ----

@@ -1,14 +1,18 @@
-"""The paper's claims, by the rules of results/rules.md.
+"""The paper's claims and the promise of Eq. (3), by the rules of rules.md.
 
 A claim compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
 seed is one of the rules, and those of a task must be of one commit.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from lab import figures, record
-from lab.kinds import KINDS, by_kind
-from lab.statistics import NUMBERS, compare, verdict
+import numpy as np
+from scipy import optimize, stats
+
+import evaluate
+from results import runs as record
+from results.figures import TABLE1
+from results.runs import KINDS, by_kind
 from runtime.command import Refused
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
@@ -48,7 +52,25 @@ CLAIMS = [
     *((24, "velocity", "peak", ALL, ppo, "PPO(0)", "<") for ppo in PPO[1:]),
     (25, "velocity", "power", ALL, "EIPO", "PPO(0)", "similar"),
 ]
-NUMBERED = [number for number, *_ in CLAIMS]
+
+
+def promise(arms):
+    """Claims of the promise of Eq. (3), in the form of CLAIMS: pi does the task as well as pi', on
+    the least energy.
+
+    Of each EIPO and its own pi', then of pi' and PPO(0), which says how good a rival pi' is, and
+    last in power alone, of EIPO and each PPO that no row of CLAIMS compares.
+    """
+    known = {(task, *sides) for _, task, name, _, *sides, _ in CLAIMS if name == "power"}
+    for task, kinds in arms.items():
+        pairs = [(kind, f"pi' of {kind}") for kind in kinds if kind.startswith("EIPO")]
+        score = "peak" if task == "velocity" else "performance"
+        for left, right in [*pairs, ("pi' of EIPO", "PPO(0)")]:
+            yield "(3)", task, score, ALL, left, right, "no worse"
+            yield "(3)", task, "power", ALL, left, right, "<"
+        for ppo in PPO:
+            if (task, "EIPO", ppo) not in known:
+                yield "(3)", task, "power", ALL, "EIPO", ppo, "<"
 
 
 def counted(results=record.RESULTS):
@@ -74,7 +96,50 @@ def counted(results=record.RESULTS):
     return arms
 
 
-# ---- comparisons ----
+# ---- two arms by one number of each seed ----
+
+
+class Comparison(NamedTuple):
+    """Two arms by one number of each seed. If it is a ratio, all but `means` are of logs."""
+
+    means: tuple  # of the left and of the right arm, geometric ones if it is a ratio
+    difference: float  # mean of left less right
+    wide: tuple  # its 95 % interval by Student's t, paired by seed
+    narrow: tuple  # its 90 % interval
+    visible: float  # the smallest difference that as many seeds show with 80 % power, at 5 %
+
+
+def compare(x, y, ratio=False):
+    """The Comparison of two arms by numbers (n,) each, of the same seeds in the same order."""
+    x, y = (np.log(x), np.log(y)) if ratio else (x, y)
+    n, difference, error = len(x), np.mean(x - y), stats.sem(x - y)
+    wide, narrow = (
+        (difference - t * error, difference + t * error) for t in stats.t.ppf((0.975, 0.95), n - 1)
+    )
+    f = stats.f.ppf(0.95, 1, n - 1)  # the square of t
+    errors = optimize.brentq(lambda k: stats.ncf.sf(f, 1, n - 1, k**2) - 0.8, 0.1, 15.0)
+    means = np.exp([x.mean(), y.mean()]) if ratio else (x.mean(), y.mean())
+    return Comparison(tuple(means), difference, wide, narrow, error * errors)
+
+
+def verdict(compared, claimed, margin):
+    """What rules.md says of a Comparison.
+
+    claimed: ">" or "<" (left is above right, or below), "similar", or "no worse" (left is not below
+             right by more than the margin)
+    margin:  of the difference, or of the log of the ratio
+    """
+    low, high = compared.wide
+    within = -margin < compared.narrow[0] and compared.narrow[1] < margin
+    if claimed == "similar":
+        outside = low > margin or high < -margin
+        return "holds" if within else "reversed" if outside else "undecided"
+    if claimed == "no worse":
+        return "holds" if low > -margin else "reversed" if high < -margin else "undecided"
+    if low <= 0 <= high:
+        return "level" if within else "undecided"
+    word = "holds" if (low > 0) == (claimed == ">") else "reversed"
+    return f"{word}, within the margin" if within else word
 
 
 def paired(kinds, left, right):
@@ -86,30 +151,30 @@ def paired(kinds, left, right):
     return [left[seed] for seed in seeds], [right[seed] for seed in seeds]
 
 
-def numbers(runs, name, commands=ALL):
-    """One of NUMBERS of each run (n,), of the commands v_x from ... to ... [m/s]."""
+def decide(sides, name, claimed, commands=ALL):
+    """The Comparison of two arms by one of evaluate.numbers, or None, and the verdict.
+
+    sides: of `paired`; commands: v_x from ... to ... [m/s]
+    """
     low, high = commands
-    found = []
-    for e in map(record.evaluation, runs):
+
+    def number(run):
+        e = record.evaluation(run)
         mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
-        found.append(NUMBERS[name](record.where(mine, e)))
-    return np.array(found)
+        return evaluate.numbers(record.where(mine, e))[name]
 
-
-def decide(left, right, name, claimed="similar", commands=ALL):
-    """The Comparison of two arms, [Run, ...] with the same seeds, and its verdict by the rules."""
-    x, y = (numbers(runs, name, commands) for runs in (left, right))
-    if len(x) < 3:
+    if len(sides[0]) < 3:
         return None, "not tested"
+    x, y = (np.array([number(run) for run in side]) for side in sides)
     if not np.isfinite([x, y]).all():
         return None, "no verdict, a run stands"
     compared = compare(x, y, name in RATIOS)
     return compared, verdict(compared, claimed, MARGINS[name])
 
 
-def at_every_command(left, right, name, claimed):
+def at_every_command(sides, name, claimed):
     """The verdict on a claim about each of the eleven commands, and where it is what."""
-    words = [decide(left, right, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
+    words = [decide(sides, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
     words = [word.split(",")[0] for word in words]
     counts = {word: words.count(word) for word in dict.fromkeys(words)}
     if "not tested" in counts:
@@ -119,52 +184,48 @@ def at_every_command(left, right, name, claimed):
     return f"{whole} (of 11 commands: {', '.join(f'{n} {word}' for word, n in counts.items())})"
 
 
-def shown(compared, name):
-    """A Comparison as cells: means, difference and its interval, Welch's interval."""
-    ratio = name in RATIOS
-    digits = {"performance": 4, "peak": 2}.get(name, 0)
-    means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
-    ends = np.array([compared.difference, *compared.wide, *compared.welch])
-    ends = [f"{x:.2f}" for x in np.exp(ends)] if ratio else [f"{x:+.{digits}f}" for x in ends]
-    center, low, high, *welch = ends
-    return means, f"{'x ' * ratio}{center} [{low}, {high}]", f"[{', '.join(welch)}]"
-
-
-# ---- the claims ----
+# ---- rows ----
 
 
 def claim_lines(arms):
-    """Yields the rows of the claims as lines of Markdown, and which ones are not tested.
+    """Yields the claims, and the promise, that are tested as rows of Markdown.
 
     arms: of `counted`
     """
-    untested = {}
-    yield "| no. | what | claimed | seeds | means | difference [95 %] | Welch | verdict |"
-    yield "|---" * 8 + "|"
-    for number, task, name, commands, left, right, claimed in CLAIMS:
+    yield "| no. | what | claimed | seeds | means | difference [95 %] | verdict |"
+    yield "|---" * 7 + "|"
+    for number, task, name, commands, left, right, claimed in [*CLAIMS, *promise(arms)]:
         where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
         where = "" if commands == ALL else where
         what = f"{task}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
         sides = paired(arms[task], left, right)
         if commands == EVERY:
-            compared, word = None, at_every_command(*sides, name, claimed)
+            compared, word = None, at_every_command(sides, name, claimed)
         else:
-            compared, word = decide(*sides, name, claimed, commands)
+            compared, word = decide(sides, name, claimed, commands)
         if word == "not tested":
-            untested[number] = untested.get(number, 0) + 1
             continue
-        cells = [str(compared.seeds), *shown(compared, name)] if compared else [""] * 4
-        if word == "undecided" and compared:
+        cells = shown(compared, name) if compared else ("", "")
+        if compared and word == "undecided":
             seen = compared.visible
             word += f", would see {f'x {np.exp(seen):.2f}' if name in RATIOS else f'{seen:.2g}'}"
-        if number in (23, 24) and compared:  # the paper prints a difference
-            size = figures.TABLE1[left] - figures.TABLE1[right]
+        if compared and name == "peak" and {left, right} <= TABLE1.keys():
+            size = TABLE1[left] - TABLE1[right]
             inside = compared.wide[0] <= size <= compared.wide[1]
             word += f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
-        yield f"| {number} | {what} | {claimed} | {' | '.join(cells)} | {word} |"
-    whole = [f"{n}" for n, rows in untested.items() if rows == NUMBERED.count(n)] + ["26 to 31"]
-    some = [f"{rows} lambdas of {n}" for n, rows in untested.items() if rows < NUMBERED.count(n)]
-    yield f"\nNot tested, for want of three common seeds: {', '.join([*whole, *some])}."
+        yield f"| {number} | {what} | {claimed} | {len(sides[0])} | {' | '.join(cells)} | {word} |"
+
+
+def shown(compared, name):
+    """A Comparison as two cells: means, and the difference with its interval."""
+    digits = {"performance": 4, "peak": 2}.get(name, 0)
+    means = " and ".join(f"{x:.{digits}f}" for x in compared.means)
+    ends = np.array([compared.difference, *compared.wide])
+    if name in RATIOS:
+        center, low, high = (f"{x:.2f}" for x in np.exp(ends))
+        return means, f"x {center} [{low}, {high}]"
+    center, low, high = (f"{x:+.{digits}f}" for x in ends)
+    return means, f"{center} [{low}, {high}]"
 
 
 def table(runs):

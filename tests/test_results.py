@@ -1,6 +1,5 @@
-"""`python -m lab`: which episodes end in which cell of which CSV, and the tables."""
+"""`python -m results`: which episodes end in which cell of which CSV, and the tables."""
 
-import csv
 import gzip
 import json
 import shutil
@@ -16,9 +15,10 @@ import eipo
 import evaluate
 import policy
 import tasks
-from lab import figures, footfalls, record
-from lab.__main__ import main
-from lab.kinds import by_kind, kind
+from results import figures
+from results import runs as record
+from results.__main__ import main
+from results.runs import by_kind, kind
 from runtime.command import Refused
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
@@ -129,14 +129,21 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
     assert figure.legends[0].get_texts()[0].get_text() == "EIPO, n = 2"
 
 
-def test_regions_of_figure_5():
-    """Straight ahead A has (1 + 0.5) / 2 = 0.75, (100 + 300) / 2 = 200 W, and a half ends."""
-    names = "run", "v_x_asked", "yaw_asked", "performance", "power", "fell"
-    seen = [(0, 0, 1, 100, 0), (1.5, 0, 0.5, 300, 1), (1, -2, 0.25, 500, 0.25), (-1, 0, 0, 1, 1)]
-    seen += [(4, 0, 0, 2, 1), (0, 5, 0, 3, 1)]
-    rows = [("A", *row) for row in seen] + [("B", *row[:2], 0.75, 200, 0) for row in seen]
-    _, ahead, *_ = figures.regions([dict(zip(names, row, strict=True)) for row in rows])
-    assert ahead == "| straight ahead, 0 to 1.5 m/s | 2 | 0.75, 200 W, 50 % | 0.75, 200 W, 0 % |"
+def test_tradeoff_has_pi_and_pi_prime():
+    """A small dot for each run and a large one for their mean, of pi and of pi_prime."""
+    prime = {x: np.full(2, 500.0 if x == "power" else 0.5) for x in evaluate.Episodes._fields}
+    prime |= {x: np.zeros(2) for x in record.ASKED} | dict(start_spread=np.array([0.5, 0.0]))
+    start = dict(start_spread=[0.5, 0.0])
+    seeds = [
+        made(f"s{i}", seed=i, prime=prime, performance=[i, i], power=[100, 100], **start)
+        for i in range(3)
+    ]
+    rows, figure = figures.tradeoff(seeds)
+    assert [(row["kind"], row["score"], row["power"]) for row in rows] == [
+        *(("EIPO", i, 100) for i in range(3)),
+        *(("pi' of EIPO", 0.5, 500) for i in range(3)),
+    ]
+    assert [len(x.get_offsets()) for x in figure.axes[0].collections] == [3, 1, 3, 1]
 
 
 # ---- kinds of runs ----
@@ -169,9 +176,7 @@ def test_kinds_of_runs():
     }
 
 
-@pytest.mark.parametrize(
-    ("other", "says"), [({}, "nothing, not even"), (dict(history=3), "history")]
-)
+@pytest.mark.parametrize(("other", "says"), [({}, "nothing"), (dict(history=3), "history")])
 def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     """The same kind and seed twice would count one policy double; other settings are another
     experiment.
@@ -273,17 +278,11 @@ def test_the_record_can_be_read():
 
 
 def test_a_committed_picture_comes_from_the_committed_tables(tmp_path):
-    assert main(["promise", "--out", str(tmp_path / "new")]) == 0
-    assert (tmp_path / "new/promise.csv").read_text() == (RESULTS / "promise.csv").read_text()
-    with Image.open(tmp_path / "new/promise.png") as image:
+    tasks = str(RESULTS / "flat"), str(RESULTS / "velocity")
+    assert main(["tradeoff", *tasks, "--out", str(tmp_path / "new")]) == 0
+    assert (tmp_path / "new/tradeoff.csv").read_text() == (RESULTS / "tradeoff.csv").read_text()
+    with Image.open(tmp_path / "new/tradeoff.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
-
-
-def test_the_page_has_the_table_of_regions():
-    with open(RESULTS / "curriculum" / "fig5.csv") as file:
-        rows = list(csv.DictReader(file))
-    page = (RESULTS / "curriculum" / "README.md").read_text()
-    assert all(line in page for line in figures.regions(rows))
 
 
 # ---- footfalls ----
@@ -295,8 +294,8 @@ def test_feet_of_a_trot():
     """
     pi, env_cfg = evaluate.load(RESULTS / "flat", nominal=True)
     env = evaluate.make_env(env_cfg, [[0.6, 0, 0], [1, 0, 0]])
-    contacts, speed = footfalls.watch(pi.mean, env)
-    assert contacts.shape == (footfalls.SHOWN / env.period, 2, 4)
+    contacts, speed = figures.contacts_of(pi.mean, env)
+    assert contacts.shape == (figures.SHOWN / env.period, 2, 4)
     alike = lambda a, b: (contacts[..., a] == contacts[..., b]).mean()  # noqa: E731
     fr, fl, rr, rl = range(4)
     assert min(alike(fr, rl), alike(fl, rr)) > 0.6 > 0.5 > max(alike(fr, rr), alike(fl, rl))
@@ -333,4 +332,4 @@ def test_a_wrong_command_line_is_one_line(argv, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(argv)
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("python -m lab: ")
+    assert line.startswith("python -m results: ")
