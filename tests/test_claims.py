@@ -236,6 +236,6 @@ def test_the_promise_is_of_pi_and_its_own_pi_prime():
     assert own[3:] == ["3", "0.0010 and 0.0110", "-0.0100 [-0.0100, -0.0100]", "holds"]
     own = row(lines, "(3)", "flat, power: EIPO / pi'")
     assert own[3:] == ["3", "101 and 505", "x 0.20 [0.20, 0.20]", "holds"]
-    assert row(lines, "(3)", "power: pi' of EIPO / PPO(0)")[-1] == "reversed"
+    assert row(lines, "(3)", "power: pi' of EIPO / PPO(0)")[-2] == "x 1.25 [1.25, 1.25]"
     assert row(lines, "(3)", "power: EIPO / PPO(0)")[-2] == "x 0.25 [0.25, 0.25]"
     assert not [line for line in lines if line.startswith("| (3) |") and "PPO(0.005)" in line]

@@ -3,8 +3,6 @@
 import ctypes.util
 import itertools
 import os
-import shutil
-import signal
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
@@ -15,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from support import ROOT, error_of, make_run, started
+from support import ROOT, error_of, make_run
 
 import play
 import tasks
@@ -228,38 +226,6 @@ def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch
     assert shown.cam.trackbodyid == shown.model.body("trunk").id
     shown, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0)
     assert slept == pytest.approx([0.075] * 2)
-
-
-LOUD = """
-import os, sys, play
-from runtime import viewer
-show = viewer.show
-def loud(*a):
-    show(*a)
-    print("shown", flush=True)
-viewer.show = loud
-print("returned", play.main(sys.argv[1:]), flush=True)
-os._exit(0)  # at exit GLFW and Mesa's software renderer may wait for each other forever
-"""
-
-
-@pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb")
-def test_the_window_runs_until_ctrl_c(runs):
-    """On a virtual display: it draws, complains of nothing, and Ctrl-C ends it."""
-    argv = ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"]
-    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    with subprocess.Popen(argv, **pipes) as server:
-        try:
-            display = HEADLESS | dict(DISPLAY=f":{server.stdout.readline().strip()}")
-            command = [sys.executable, "-c", LOUD, runs["velocity"]]
-            with started(command, cwd=ROOT, env=display) as process:
-                shown = [process.stdout.readline() for _ in range(10)]
-                process.send_signal(signal.SIGINT)
-                stdout, stderr = process.communicate(timeout=20)
-        finally:
-            server.terminate()
-    assert shown == ["shown\n"] * 10
-    assert stderr == "" and stdout.endswith("returned 130\n")
 
 
 # ---- the ground that is drawn ----

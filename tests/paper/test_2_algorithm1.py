@@ -210,11 +210,6 @@ def test_algorithm1_line10_pi_prime_never_sees_energy(with_effort):
     assert not trees_equal(states[1][0].pi_prime.params, states[2][0].pi_prime.params)
 
 
-def test_algorithm1_same_seed_same_bits(with_effort):
-    states, _, _ = with_effort
-    assert trees_equal(run(Probe(near_half, effort), Probe(near_half, effort))[2], states[2])
-
-
 def test_algorithm1_line03_other_seed_other_start(monkeypatch):
     """For seeds 0 and 1, pi and pi_prime, networks and environments have four seeds each."""
     monkeypatch.setattr(eipo, "init_learner", lambda rng, *_: int(rng.integers(2**62)))
@@ -352,13 +347,6 @@ def test_algorithm1_line13_gets_the_gap_and_line_9_its_alpha(with_effort, monkey
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
 
 
-def test_algorithm1_steps_both_policies(with_effort):
-    """D9. Each of the 2 iterations has 8 steps of 16 environments for each policy."""
-    states, env, env_prime = with_effort
-    assert len(env.diary) == len(env_prime.diary) == 2 * 8
-    assert [state.iteration for state, _ in states] == [0, 1, 2]
-
-
 def test_algorithm1_resumes_with_the_same_bits(with_effort):
     """It was stopped after the first iteration and goes on with the environments as they were."""
     states, _, _ = with_effort
@@ -410,16 +398,6 @@ def climb_capped(theta, alpha, weight, lr=0.05):
     return max(theta, min(theta + lr * alpha, 1.0))
 
 
-def smooth(theta):
-    """J without a kink."""
-    return -((theta - 1) ** 2)
-
-
-def climb_smooth(theta, alpha, weight, lr=0.02):
-    """A gradient step."""
-    return theta - lr * (2 * alpha * (theta - 1) + weight * 2 * theta)
-
-
 def test_eq03_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
     """The theta that maximises alpha J - F is min(alpha / 2, 1), and pi_prime has J' = 1. From
     below, alpha stops at 2 and theta at 1.
@@ -429,30 +407,6 @@ def test_eq03_algorithm1_toy_stops_at_the_smallest_alpha_that_keeps_the_task():
     assert alpha[-1] == pytest.approx(2, abs=1e-3)
     assert theta[-1] == pytest.approx(1, abs=1e-3)
     assert (np.diff(alpha) >= 0).all() and alpha.max() < 2.001
-
-
-def test_algorithm1_toy_momentum_overshoots_and_stays():
-    """Momentum carries alpha past 2. There J = J', the gradient is 0, and nothing pulls it back."""
-    cfg = replace(EIPO, lr_alpha=0.02, momentum_alpha=0.99)
-    alpha, theta = toy(capped, climb_capped, cfg, 6000)
-    assert alpha[-1] > 2.5
-    assert alpha[-1000] == alpha[-1]
-    assert theta[-1] == 1
-
-
-def test_algorithm1_toy_alpha_grows_without_bound_where_the_task_has_no_kink():
-    """J = -(theta - 1)^2. The gap is never 0, so alpha never rests:
-
-    theta      = alpha / (1 + alpha) < 1
-    gap        = -1 / (1 + alpha)^2
-    dalpha/dn  =  1 / (1 + alpha)^2
-    1 + alpha  = (3 n)^(1/3), about 18 after n = 2000 iterations
-    """
-    cfg = replace(EIPO, lr_alpha=1.0, momentum_alpha=0.0)
-    alpha, theta = toy(smooth, climb_smooth, cfg, 2000)
-    assert 15 < alpha[-1] < 20
-    assert (np.diff(alpha[100:]) > 0).all()
-    assert theta[-1] < 1
 
 
 # ---- probes ----

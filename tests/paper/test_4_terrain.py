@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from terrain import fade, height, make_ground, origin, perlin, random_gradients, tile, wrap
+from terrain import fade, height, make_ground, origin, perlin, tile, wrap
 
 # of the lattice points (0, 0), (0, 1) and (1, 0), (1, 1): no two components alike
 GRADIENTS = np.array([[[1.0, 3.0], [7.0, -4.0]], [[-2.0, 5.0], [6.0, -9.0]]])
@@ -71,15 +71,6 @@ def test_perlin_is_periodic():
         assert (perlin(x + dx, y + dy, gradients) != noise).mean() > 0.9
 
 
-def test_random_gradients():
-    """Unit vectors, each with a direction of its own, all around, so that their mean is near 0."""
-    gradients = random_gradients(rng(), 16)
-    assert gradients.shape == (16, 16, 2)
-    assert len(np.unique(gradients.reshape(-1, 2), axis=0)) == 256
-    assert np.hypot(*gradients.T) == pytest.approx(1.0, abs=1e-12)
-    assert np.abs(gradients.mean((0, 1))).max() < 0.15
-
-
 # ---- a tile ----
 
 
@@ -118,34 +109,11 @@ def test_make_ground():
         assert (make_ground(roughness, **other) != ground)[:, 120:].mean() > 0.9
 
 
-def test_tiles_differ():
-    """Each tile has noise of its own, and no metre of it is like another, so that robots learn no
-    piece of ground by heart.
-    """
-    ground = make_ground([0.05] * 3)
-    for i, j in [(0, 1), (0, 2), (1, 2)]:
-        assert (block(ground, i) != block(ground, j)).mean() > 0.9
-    heights = block(ground, 0)[:80, :80]
-    for axis, points in [(0, 20), (0, 40), (1, 20), (1, 40)]:
-        assert (np.roll(heights, points, axis) != heights).mean() > 0.9
-
-
 def test_apron_is_the_tile_again():
     """Within a tile and its apron of 1 m, heights 80 points (4 m) apart have the same bits."""
     ground = make_ground([0.05, 0.15])
     for part in (block(ground, 0), block(ground, 1)):
         assert (part[:, :40] == part[:, 80:]).all() and (part[:40] == part[80:]).all()
-
-
-def test_ground_has_no_step_at_the_edge_of_a_tile():
-    """With 20 points per cell the ground is smooth, at the tile's edges 20 and 100 as elsewhere.
-
-    Its bend at c is h[c - 1] - 2 h[c] + h[c + 1], the whole step where a tile is not periodic.
-    """
-    ground = make_ground([0.15] * 4, cells_per_m=1)
-    for heights in (block(ground, 0), block(ground, 3), block(ground, 0).T, block(ground, 3).T):
-        bend = np.abs(np.diff(heights, 2, axis=1)).max(0)  # of the points 1 to 118
-        assert bend[[18, 19, 98, 99]].max() <= bend[22:96].max() < 0.01
 
 
 # ---- places ----

@@ -83,15 +83,6 @@ def test_eq09_survival_bonus(clip, cost):
     assert (energy.total_power(*idle), energy.energy_cost(*idle)) == (42.0, -158.0)
 
 
-@pytest.mark.parametrize(
-    "function", [energy.mechanical_power, energy.total_power, energy.energy_cost]
-)
-def test_eq09_unknown_clip(function):
-    """A misspelt clip is an error, not silently the other reading."""
-    with pytest.raises(ValueError, match="not 'velocity'"):
-        function(np.ones(12), np.ones(12), clip="velocity")
-
-
 @pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
 def test_eq09_cost_of_a_step(clip, expected):
     """A hip on target at 8 rad/s has tau = -0.5 * 8 = -4:
