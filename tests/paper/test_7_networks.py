@@ -209,7 +209,7 @@ def test_coordinates_by_hand():
 
 def test_what_is_even_comes_first():
     """Two frames (a, b), of which a and b are a pair: sums of both frames, then differences. The
-    privileged number changes its sign, so it is odd. An action (2 sqrt 2, sqrt 2) is (3, 1).
+    privileged number changes its sign, so it is odd. An action (2 sqrt 2, 5, sqrt 2) is (3, 1, 5).
     """
     shown = np.array([[3.0, 1.0, 7.0, 2.0]]), np.array([[5.0]])
     asked = []
@@ -217,19 +217,19 @@ def test_what_is_even_comes_first():
     env = SimpleNamespace(
         num_envs=1,
         obs_size=4,
-        mirror=dict(frame=([1, 0], [1, 1]), privileged=([0], [-1]), action=([1, 0], [1, 1])),
+        mirror=dict(frame=([1, 0], [1, 1]), privileged=([0], [-1]), action=([1, 0, 2], [1, 1, 1])),
         observe=lambda: shown,
         reset=lambda seed: asked.append(seed),
         step=lambda action: asked.append(action) or (None, 1.0, False, True, info),
     )
     turned = mirror.Mirrored(env)
     sizes = turned.obs_size, turned.privileged_size, turned.action_size
-    assert sizes == ([2, 2], [0, 1], [1, 1])
-    obs, reward, terminated, truncated, info = turned.step(np.array([[2 * 2**0.5, 2**0.5]]))
+    assert sizes == ([2, 2], [0, 1], [2, 1])
+    obs, reward, terminated, truncated, info = turned.step(np.array([[2 * 2**0.5, 5, 2**0.5]]))
     assert obs[0] * 2**0.5 == pytest.approx([4, 9, 2, 5], rel=1e-6)
     assert info["final_obs"][0] == pytest.approx(2 * obs[0])
     assert (info["final_privileged"], reward, terminated, truncated) == (10, 1.0, False, True)
-    assert asked[0] == pytest.approx(np.array([[3, 1]]), rel=1e-6)
+    assert asked[0] == pytest.approx(np.array([[3, 1, 5]]), rel=1e-6)
     assert turned.reset(7)[0] == pytest.approx(obs) and asked[1] == 7
 
 
