@@ -1,8 +1,9 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper.
 
-`eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline,
-which is Algorithm 1 without pi_prime. What they call follows in the order of the lines, and
-`ppo.py` has the update of lines 9 and 11.
+`eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline. It
+has neither pi_prime nor alpha, and weighs r and f by 1 and lambda. At alpha = 1 / lambda both have
+the same objective, but for a factor, which PPO normalises away. What they call follows in the order
+of the lines, and `ppo.py` has the update of lines 9 and 11.
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
@@ -13,9 +14,9 @@ which is Algorithm 1 without pi_prime. What they call follows in the order of th
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
 `action_size`, as `go1_env.Go1Env` documents them. `train.py` makes one for each policy, and picks
-the algorithm. No robot and no file is known here.
-The loop over iterations is plain Python, so that a `breakpoint()` works in it. Acting and learning
-are compiled. D6 is entry D6 of `deviations.md`, where we depart from the paper.
+the algorithm. This file knows nothing of robots and of the file system. The loop over iterations is
+plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled. D6 is an entry
+of `deviations.md`, which says where we depart from the paper and why.
 """
 
 from dataclasses import dataclass, fields
@@ -43,17 +44,17 @@ class Config(PPOConfig):
     lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha; larger on two tasks (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
-    mirror: bool = True  # [ours] tie weights by the robot's mirror symmetry, or plain MLPs (D28)
+    mirror: bool = True  # [ours] let `train.py` tie weights by the robot's left-right mirror (D28)
 
     @property
-    def ppo(self):
+    def learner(self):
         """The part with which a learner is compiled, so that a new seed or lam compiles nothing."""
         return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
 
     @property
     def cost_scale(self):
-        """Factor on f in what the critic learns, near which lam f is as large as r (D10)."""
-        return self.lam or 1e-6  # PPO without energy has no use for f
+        """Factor on f in what the critic learns: lam, since lam f is about as large as r (D6)."""
+        return self.lam or 1e-6  # it is divided out again, so it cannot be 0
 
 
 class Dual(NamedTuple):
@@ -82,17 +83,20 @@ class Transition(NamedTuple):
     log_prob: np.ndarray  # (N,) of the action, under the policy that chose it
     reward: np.ndarray  # (N,) r of the step
     cost: np.ndarray  # (N,) f of the step
-    terminated: np.ndarray  # (N,) bool, where the episode ended
+    terminated: np.ndarray  # (N,) bool, where the episode failed, and nothing follows
     truncated: np.ndarray  # (N,) bool, where its time was up; never both
     next_obs: np.ndarray  # (N, D) where the step led, also where the episode ended
     next_privileged: np.ndarray  # (N, P)
 
 
 class Estimate(NamedTuple):
-    """What lines 8 and 10 estimate from a rollout."""
+    """What lines 8 and 10 estimate from a rollout. All of it has the factor reward_scale (D10).
 
-    advantage: jax.Array  # (T, N, K) of r and of f, not normalised yet
-    target: jax.Array  # (T, N, K) of r and of cost_scale f: the critic learns it, its mean is J
+    The last axis is r and, for pi, f. pi_prime knows no f.
+    """
+
+    advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
+    target: jax.Array  # (T, N, K) lambda-returns of r and cost_scale f, which the critic learns
 
 
 # ---- Algorithm 1 ----
@@ -115,14 +119,14 @@ def eipo(env, env_prime, cfg, state=None):
         tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo)
+        est = estimate(pi, tau, cfg.cost_scale, cfg.learner)
         advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
-        pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)  # Alg.1 L9
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.learner)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.ppo)  # Alg.1 L10
+        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.learner)  # Alg.1 L10
         advantage_prime = est_prime.advantage[..., 0]
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
-            pi_prime, tau_prime, est_prime, advantage_prime, key_update_prime, cfg.ppo
+            pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg.learner
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
@@ -140,9 +144,9 @@ def ppo(env, cfg, state=None):
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
-        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo)
+        est = estimate(pi, tau, cfg.cost_scale, cfg.learner)
         advantage = mix(est.advantage, 1, cfg.lam)
-        pi, losses = ppo_update(pi, tau, est, advantage, key_update, cfg.ppo)
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.learner)
         yield State(iteration, state.key, pi, None, None), summary(est, 1, cfg.lam) | log | losses
 
 
@@ -156,8 +160,8 @@ def summary(est, task, cost):
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1, alpha no longer matters.
     """
-    task, cost = est.advantage.std((0, 1)) * jnp.array([task, cost])
-    return dict(J=estimate_J(est), task_share=task / (task + cost + 1e-30))
+    weighed = est.advantage.std((0, 1)) * jnp.array([task, cost])
+    return dict(J=estimate_J(est), task_share=weighed[0] / (weighed.sum() + 1e-30))
 
 
 # ---- L3, L4: the start ----
@@ -171,11 +175,11 @@ def init_state(env, env_prime, cfg):
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     env.reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
-    pi = init_learner(rng, env, ("reward", "cost"), cfg.ppo)
+    pi = init_learner(rng, env, ("reward", "cost"), cfg.learner)
     if env_prime is None:
         return State(0, key, pi, None, None)
     env_prime.reset(2 * cfg.seed + 1)
-    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.ppo)
+    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.learner)
     return State(0, key, pi, pi_prime, Dual(1 / cfg.lam, 0.0))
 
 
@@ -183,12 +187,12 @@ def init_state(env, env_prime, cfg):
 
 
 @jax.jit
-def act(pi, obs, key, t):
+def act(learner, obs, key, t):
     """Random actions (N, A) for obs (N, D) in step t of a rollout, and their log-probabilities."""
-    return sample(pi.params, obs, jax.random.fold_in(key, t))
+    return sample(learner.params, obs, jax.random.fold_in(key, t))
 
 
-def rollout(env, pi, key, cfg):
+def rollout(env, learner, key, cfg):
     """T steps of every robot from where it is: a Transition of (T, N, ...) arrays, and the log.
 
     log: means over steps and robots of r, f and the numbers that the environment logs
@@ -197,7 +201,8 @@ def rollout(env, pi, key, cfg):
     logs = []
     for t in range(cfg.num_steps):
         obs, privileged = env.observe()
-        action, log_prob = map(np.asarray, act(pi, obs, key, t))
+        action, log_prob = map(np.asarray, act(learner, obs, key, t))
+        # where an episode ended, the next one has begun; final_obs is where this step led, always
         _, reward, terminated, truncated, info = env.step(action)
         transition = Transition(
             obs=obs,
@@ -221,26 +226,28 @@ def rollout(env, pi, key, cfg):
 
 
 @partial(jax.jit, static_argnames="cfg")
-def estimate(pi, tau, cost_scale, cfg):
-    """The Estimate of a rollout, in which the streams of pi, r and f or r alone, stay apart.
+def estimate(learner, tau, cost_scale, cfg):
+    """The Estimate of a rollout, in which r and f stay apart, or of r alone for pi_prime.
 
-    GAE is linear, so that their advantages can be mixed later (L8). The critic learns r and
-    cost_scale f, which are of comparable size. cfg: PPOConfig
+    GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
+    alpha moves. It learns returns of r and cost_scale f, which are of comparable size; the
+    advantages are of r and f themselves. cfg: PPOConfig
     """
-    values = value(pi.params, tau.obs, tau.privileged)
-    next_values = value(pi.params, tau.next_obs, tau.next_privileged)
-    streams = jnp.stack([getattr(tau, name) for name in pi.streams], -1)
-    scale = jnp.array([cost_scale if name == "cost" else 1.0 for name in pi.streams])
+    values = value(learner.params, tau.obs, tau.privileged)
+    next_values = value(learner.params, tau.next_obs, tau.next_privileged)
+    earned = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
+    scale = jnp.array([cost_scale if name == "cost" else 1.0 for name in learner.streams])
     ends = tau.terminated[..., None], tau.truncated[..., None]
-    reward = cfg.reward_scale * scale * streams
-    advantage = gae(reward, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
+    earned = cfg.reward_scale * scale * earned
+    advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
     return Estimate(advantage / scale, advantage + values)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
     """GAE, the advantages (T, ...); with values 0 and gae_lambda 1 these are returns, Eq. (1).
 
-    They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode.
+    They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode or of the
+    rollout.
 
     reward, value: (T, ...)
     next_value:    (T, ...) of the state to which step t led, also where truncated
@@ -269,8 +276,9 @@ def mix(advantage, task, cost):
 def estimate_J(est):
     """J of a policy (L12): the mean of the task's target over the states of its rollout.
 
-    So it is of all states that the policy visits, not only of the first, and times `reward_scale`.
-    Normalised advantages would not do: their mean is 0 for every policy, so alpha would not move.
+    A target is what a policy earns from a state on, in which its own critic stands for what follows
+    the rollout. It is averaged over all visited states, not only the first (D8), and has the factor
+    reward_scale. Normalised advantages, as in the lab's code, have the mean 0 for every policy.
     """
     return est.target[..., 0].mean()
 
@@ -283,9 +291,9 @@ def step_alpha(dual, gap, cfg):
 
     gap: J(pi) - J(pi_prime)
 
-    dL/dalpha is -gap, where the paper prints +gap (D2), so alpha rises while pi is the worse one.
-    Momentum is that of torch's SGD. Where alpha would fall below 0, it becomes 0 and loses its
-    momentum. If the gap is not finite, alpha and momentum stay (D44).
+    dL/dalpha is -gap, where the paper prints +gap (D2), so alpha is pushed up while pi is the worse
+    one. Momentum is that of torch's SGD, so alpha follows with a lag. Where it would fall below 0,
+    it becomes 0 and loses its momentum. If the gap is not finite, alpha and momentum stay (D44).
     """
     if not np.isfinite(gap):
         return dual

@@ -18,7 +18,7 @@ networks that know no mirror.
 import numpy as np
 from scipy.linalg import block_diag
 
-from networks import beside, sum_and_difference
+from networks import join, sum_and_difference
 
 
 def basis(index, sign):
@@ -96,7 +96,7 @@ def plain_policy(params, env):
     """
     obs, privileged, action = coordinates(env)
     none = np.zeros((len(obs), len(privileged)))
-    state = np.vstack([beside(params, obs, none), beside(params, none.T @ obs, privileged)])
+    state = np.vstack([join(params, obs, none), join(params, none.T @ obs, privileged)])
     return dict(
         actor=plain(params["actor"], state, action),
         estimator=plain(params["estimator"], obs, privileged),

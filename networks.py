@@ -4,9 +4,11 @@ params    {"actor", "critic", "estimator": [Layer, ...], "log_std": of the actio
 D, P, A   widths of an observation, of the privileged part of a state and of an action
 K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
 
-Where the robot's mirror ties the weights, arrays have their even entries first, as `mirror.py`
-explains (D28). A layer then has a matrix for those and another for the odd ones, and a size, which
-otherwise is a number, is a pair.
+A left-right mirror may tie the weights (D28). Then an array holds even entries, which the mirror
+keeps, such as (right + left) / sqrt 2, and after them odd ones, which it negates, such as (right -
+left) / sqrt 2. A layer that treats left and right alike takes even entries to even ones and odd to
+odd, so it has a matrix for each kind, and a size is a pair of numbers. Without a mirror there is
+one matrix, and a size is a number. `mirror.py` makes such arrays, and has the reasons.
 """
 
 from itertools import pairwise
@@ -27,11 +29,11 @@ class Layer(NamedTuple):
 
 def mlp(layers, x):
     """Outputs (..., m) of an MLP for inputs (..., n), with ELU between the layers."""
-    halves = jnp.split(x, [len(weights) for weights in layers[0].weights[:-1]], -1)
+    halves = jnp.split(x, [len(matrix) for matrix in layers[0].weights[:-1]], -1)  # or one whole
     for i, layer in enumerate(layers):
         if i:  # ELU acts on the right and left units themselves
-            halves = sum_and_difference([jax.nn.elu(x) for x in sum_and_difference(halves)])
-        halves = [x @ weights for x, weights in zip(halves, layer.weights, strict=True)]
+            halves = sum_and_difference([jax.nn.elu(half) for half in sum_and_difference(halves)])
+        halves = [half @ matrix for half, matrix in zip(halves, layer.weights, strict=True)]
         halves[0] += layer.bias
     return jnp.concatenate(halves, -1)
 
@@ -45,25 +47,27 @@ def sum_and_difference(halves):
 
 
 def policy(params, obs):
-    """Mean and deviation (..., A) of the action for obs (..., D), and estimated velocity (..., P).
+    """Mean and standard deviation (..., A) of the action for obs (..., D), and estimate (..., P).
 
-    The actor sees the estimate, but the estimator learns from its own error alone (D19).
+    The estimate is of what is privileged, the true velocity of the body. The actor sees it, but the
+    estimator learns from its own error alone (D19).
     """
-    velocity = mlp(params["estimator"], obs)
-    mean = mlp(params["actor"], beside(params, obs, jax.lax.stop_gradient(velocity)))
+    estimate = mlp(params["estimator"], obs)
+    mean = mlp(params["actor"], join(params, obs, jax.lax.stop_gradient(estimate)))
+    # even and odd entries of a pair share one, so that right and left are equally noisy
     std = jnp.exp(jnp.tile(params["log_std"], len(params["actor"][-1].weights)))
-    return mean, jnp.broadcast_to(std, mean.shape), velocity
+    return mean, jnp.broadcast_to(std, mean.shape), estimate
 
 
 def value(params, obs, privileged):
     """The critic's values (..., K) of obs (..., D) with privileged (..., P)."""
-    return mlp(params["critic"], beside(params, obs, privileged))
+    return mlp(params["critic"], join(params, obs, privileged))
 
 
-def beside(params, obs, velocity):
-    """obs and velocity as one array (..., D + P), of which the even entries still come first."""
+def join(params, obs, privileged):
+    """obs and what is privileged, or its estimate, as one (..., D + P), even entries first."""
     even = params["estimator"][-1].weights[0].shape[1]
-    return jnp.concatenate([velocity[..., :even], obs, velocity[..., even:]], -1)
+    return jnp.concatenate([privileged[..., :even], obs, privileged[..., even:]], -1)
 
 
 def sample(params, obs, key):
@@ -79,25 +83,25 @@ def log_prob(mean, std, action):
 
 
 def init_params(rng, env, heads, cfg):
-    """Random parameters, drawn by NumPy, because JAX would take seconds to compile as many draws.
+    """Random parameters, drawn by NumPy, because JAX would take seconds to compile that many draws.
 
     rng:   np.random.Generator
-    env:   its obs_size, privileged_size and action_size count
+    env:   only its obs_size, privileged_size and action_size are used
     heads: K
     cfg:   ppo.PPOConfig, with the widths of the hidden layers
     """
     sizes = env.obs_size, env.privileged_size, env.action_size
-    obs, privileged, action = map(np.atleast_1d, sizes)
-    values = [heads, 0][: len(obs)]  # a mirrored state has the same value: nothing is odd
+    n_obs, n_privileged, n_action = map(np.atleast_1d, sizes)  # one number each, or even and odd
+    n_values = [heads, 0][: len(n_obs)]  # a mirrored state has the same value: nothing is odd
 
     def init(inputs, hidden, outputs):
-        return init_mlp(rng, [inputs, *([n // len(obs)] * len(obs) for n in hidden), outputs])
+        return init_mlp(rng, [inputs, *([n // len(inputs)] * len(inputs) for n in hidden), outputs])
 
     return dict(
-        actor=init(obs + privileged, cfg.hidden, action),
-        critic=init(obs + privileged, cfg.hidden, values),
-        estimator=init(obs, cfg.hidden_estimator, privileged),
-        log_std=np.full(action[0], cfg.log_std, np.float32),  # right and left are equally noisy
+        actor=init(n_obs + n_privileged, cfg.hidden, n_action),
+        critic=init(n_obs + n_privileged, cfg.hidden, n_values),
+        estimator=init(n_obs, cfg.hidden_estimator, n_privileged),
+        log_std=np.full(n_action[0], cfg.log_std, np.float32),
     )
 
 
@@ -105,7 +109,7 @@ def init_mlp(rng, widths):
     """Random layers of an MLP, within +- 1 / sqrt(fan-in) as in PyTorch [lab code].
 
     widths: of each layer, from the input on, a list with one number, or with those of even and of
-        odd entries. Each has its own fan-in, as its products have no other inputs.
+        odd entries. Even units have only even inputs, so each matrix has its own fan-in.
     """
 
     def uniform(fan_in, *shape):

@@ -1,7 +1,7 @@
 """Proximal policy optimization: a policy's update from one rollout, lines 9 and 11 of Algorithm 1.
 
-It needs no alpha, J or F. It takes one advantage for each sample, in which the streams of `eipo.py`
-are mixed already. The widths D, P, A and K are those of `networks.py`.
+It needs no alpha, J or F. It takes one advantage for each sample, in which those of r and f have
+already been mixed. The widths D, P, A and K are those of `networks.py`.
 """
 
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ import optax
 from networks import init_params, log_prob, policy, value
 
 LOG_STD_RANGE = (-4.0, 1.0)  # [ours] so that the policy's noise neither vanishes nor explodes
-LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: least the lab's, greatest the paper's (D20)
+LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: from the lab's least to the paper's (D20)
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class PPOConfig:
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
     lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] KL divergence of an update at which lr aims; 0: fixed lr (D20)
+    target_kl: float = 0.03  # [ours] mean KL during an update at which lr aims; 0: fixed lr (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -45,7 +45,7 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    streams: tuple = field(metadata=dict(static=True))  # of a rollout, from which it learns
+    streams: tuple = field(metadata=dict(static=True))  # which of reward and cost it learns from
 
 
 def init_learner(rng, env, streams, cfg):
@@ -61,7 +61,7 @@ def init_learner(rng, env, streams, cfg):
 def optimizer(cfg):
     """Adam without its step size.
 
-    Gradients are clipped network by network, and non-finite ones are skipped.
+    Each network's gradient is clipped by itself. If a number is not finite, all of it is skipped.
     """
     clip = {
         name: optax.clip_by_global_norm(cfg.max_grad_norm)
@@ -74,23 +74,23 @@ def optimizer(cfg):
 
 
 @partial(jax.jit, static_argnames="cfg")
-def ppo_update(learner, tau, est, advantage, key, cfg):
+def ppo_update(learner, tau, target, advantage, key, cfg):
     """All epochs and minibatches of one iteration (L9, L11): the new Learner, and its losses.
 
-    tau, est:  eipo.Transition and eipo.Estimate of the rollout
+    tau:       eipo.Transition of the rollout
+    target:    (T, N, K) for the critic
     advantage: (T, N), mixed. It is normalised here, once, over steps and robots
     losses:    means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
     """
-    advantage = advantage - advantage.mean()
-    advantage /= jnp.sqrt(jnp.square(advantage).mean()) + 1e-8
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
-    data |= dict(target=est.target, advantage=advantage)
+    data |= dict(target=target, advantage=advantage)
     data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
 
     def step(carry, chosen):
         params, opt_state = carry
-        slope, log = gradient(params, data, chosen, cfg)
-        direction, opt_state = optimizer(cfg).update(slope, opt_state)
+        grads, log = gradient(params, data, chosen, cfg)
+        direction, opt_state = optimizer(cfg).update(grads, opt_state)
         params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
         params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
         return (params, opt_state), log
@@ -105,7 +105,10 @@ def ppo_update(learner, tau, est, advantage, key, cfg):
 
 
 def shuffled(key, size, cfg):
-    """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41)."""
+    """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41).
+
+    What is left when samples are shared out equally takes no part in that epoch.
+    """
     keys = jax.random.split(key, cfg.num_epochs)
     orders = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)
     whole = size - size % cfg.num_minibatches
@@ -113,7 +116,7 @@ def shuffled(key, size, cfg):
 
 
 def gradient(params, data, chosen, cfg):
-    """Gradient of `ppo_loss` for a minibatch, and its log.
+    """Gradients of `ppo_loss` for a minibatch, and what it logs.
 
     data: arrays (T * N, ...) by name; chosen: (samples,) which of them
     """
@@ -123,14 +126,14 @@ def gradient(params, data, chosen, cfg):
 
 def ppo_loss(params, batch, cfg):
     """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
-    mean, std, velocity = policy(params, batch["obs"])
+    mean, std, estimate = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
     values = value(params, batch["obs"], batch["privileged"])
     value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
-    estimator_loss = jnp.square(velocity - batch["privileged"]).sum(-1).mean()
+    estimator_loss = jnp.square(estimate - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
     kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new), and is never negative
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())

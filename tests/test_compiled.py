@@ -15,12 +15,11 @@ def test_products_are_not_ynnpack_s():
     rng = np.random.default_rng(0)
     draw = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
     env = Mirrored(Go1Env(1))
-    pi = ppo.init_learner(rng, env, ("reward", "cost"), EIPO.ppo)
+    pi = ppo.init_learner(rng, env, ("reward", "cost"), EIPO.learner)
     widths = dict(obs=sum(env.obs_size), privileged=3, action=12)
     arrays = {name: draw(8, 16, n) for name, n in widths.items()} | dict(log_prob=draw(8, 16))
     tau = eipo.Transition(**dict.fromkeys(eipo.Transition._fields) | arrays)
-    est = eipo.Estimate(None, draw(8, 16, 2))
     key = jax.random.PRNGKey(0)
-    lowered = ppo.ppo_update.lower(pi, tau, est, draw(8, 16), key, EIPO.ppo)
+    lowered = ppo.ppo_update.lower(pi, tau, draw(8, 16, 2), draw(8, 16), key, EIPO.learner)
     text = lowered.compile().as_text()
     assert "dot(" in text and "__ynn_fusion" not in text

@@ -15,7 +15,7 @@ from support import ROOT, SECONDS, TINY, error_of, started
 
 import ppo
 import train
-from eipo import Estimate, Transition
+from eipo import Transition
 from go1_env import Go1Env
 from mirror import Mirrored
 from runtime import metrics, parallel
@@ -37,7 +37,7 @@ def one_update():
     target = rng.normal(size=(10, 64, 2)).astype(np.float32)
     advantage = 3 + rng.normal(size=(10, 64)).astype(np.float32)
     key = parallel.everywhere(jax.random.PRNGKey(0))
-    learner, _ = ppo.ppo_update(learner, tau, Estimate(None, target), advantage, key, cfg)
+    learner, _ = ppo.ppo_update(learner, tau, target, advantage, key, cfg)
     return np.concatenate([np.ravel(x) for x in jax.tree.leaves(learner.params)])
 
 
