@@ -21,7 +21,7 @@ of `deviations.md`, which says where we depart from the paper and why.
 
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,7 @@ from ppo import Learner, PPOConfig, init_learner, ppo_update
 class Config(PPOConfig):
     """How to learn. A tag says where a value is from: the paper's section, the lab's code, us."""
 
-    algo: str = "eipo"  # [III] "eipo", or "ppo": without pi_prime and with a fixed lambda
+    algo: Literal["eipo", "ppo"] = "eipo"  # [III] ppo: without pi_prime, with a fixed lambda
     lam: float = 0.005  # [V-A] EIPO: lambda_0, alpha starts at 1 / lam; PPO: lambda of Eq. (2)
     seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
     num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half

@@ -1,9 +1,14 @@
 """What a step costs: the power model of Eq. (9) and the smoothness cost of Eq. (11).
 
 Sections IV-B and V-E. Both are *costs*: although the paper calls them rewards, positive is bad, and
-the learner multiplies them by -lambda. Every function takes any leading batch shape and reduces the
-last axis, which is the twelve joints in the order FR, FL, RR, RL x hip, thigh, calf. How torques
-come about is in `go1.py`, and how the cost is weighed against the task is in `eipo.py`.
+the learner weighs them against the task in `eipo.py`. How torques come about is in `go1.py`. Every
+function takes any leading batch shape and reduces the last axis, which is the twelve joints in the
+order FR, FL, RR, RL x hip, thigh, calf:
+
+    torque  (..., 12) [N m]    of the joints
+    qd      (..., 12) [rad/s]  of the joints
+    clip    see `mechanical_power`
+    a power (...,) [W]
 """
 
 import numpy as np
@@ -26,12 +31,8 @@ def norm2(x):
 def mechanical_power(torque, qd, clip):
     """Mechanical power that the motors draw [W]. Eq. (9), line 2: clip(tau, min=-3, max=1e4)^T qd.
 
-    torque: (..., 12) [N m]    joint torque
-    qd:     (..., 12) [rad/s]  joint velocity
-    clip:   "torque" clips each torque at -3 N m, as printed and as the lab's code does;
-            "power" clips each joint's power at -3 W, i.e. limits what braking recovers
-    returns (...,) [W]
-    Raises ValueError for any other clip.
+    clip: "torque" clips each torque at -3 N m, as printed and as the lab's code does;
+          "power" clips each joint's power at -3 W, i.e. limits what braking recovers
 
     Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a
     joint that is driven hard in the negative direction is charged as if its torque were -3 N m, and
@@ -39,34 +40,24 @@ def mechanical_power(torque, qd, clip):
     """
     if clip == "torque":
         return (np.clip(torque, -3.0, 1e4) * qd).sum(-1)
-    if clip == "power":
-        return np.clip(torque * qd, -3.0, 1e4).sum(-1)
-    raise ValueError(f'clip is "torque" or "power", not {clip!r}')
+    return np.clip(torque * qd, -3.0, 1e4).sum(-1)
 
 
 def heating_power(torque, gear_ratio=GEAR_RATIO):
     """Joule heating of the motors [W]. Eq. (9), line 3: 0.7 ||tau * g||^2.
 
-    torque:     (..., 12) [N m]  joint torque
-    gear_ratio: (12,)     [-]    motor torque per joint torque, relative to the hip motor
-    returns     (...,)    [W]
+    gear_ratio: (12,) [-] motor torque per joint torque, relative to the hip motor
     """
     return HEATING * norm2(torque * gear_ratio)
 
 
 def total_power(torque, qd, clip):
-    """Power drawn from the battery [W]: Eq. (9) without its bonus.
-
-    torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
-    """
+    """Power drawn from the battery [W]: Eq. (9) without its bonus."""
     return mechanical_power(torque, qd, clip) + heating_power(torque) + BATTERY
 
 
 def energy_cost(torque, qd, clip):
-    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), total power less the bonus of 200.
-
-    torque: (..., 12) [N m], qd: (..., 12) [rad/s], clip: see mechanical_power; returns (...,) [W].
-    """
+    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), power less the bonus of 200."""
     return total_power(torque, qd, clip) - SURVIVAL
 
 
@@ -75,9 +66,7 @@ def smoothness_cost(torque, action, qdd):
 
     Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7 ||qdd||^2.
 
-    torque: (..., 12) [N m]      joint torque
     action: (..., 12) [-]        the policy's action itself, not its rate
     qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, by its length
-    returns (...,) [-]
     """
     return 2e-4 * norm2(torque) + 1e-2 * norm2(action) + 2.5e-7 * norm2(qdd)

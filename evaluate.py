@@ -69,7 +69,7 @@ def load(folder, clip=None, nominal=False, prime=False):
     """
     path = Path(folder) / ("policy_prime.npz" if prime else "policy.npz")
     if prime and not path.exists():
-        raise Refused(f"{path} does not exist: PPO has no pi', and EIPO's is written at the end")
+        raise Refused(f"{path} does not exist: a run of PPO has no pi'")
     pi, env_cfg = run_folder.load_policy(path)
     return pi, evaluation_config(env_cfg, clip, nominal)
 
@@ -156,7 +156,7 @@ def numbers(e):
         "performance": float(e["performance"].mean()),  # [-] Section V-A
         "fell": float(e["fell"].mean()),  # share of episodes that ended early
         "v_x": float(e["v_x"].mean()),  # [m/s]
-        "peak": float(iqm(e["peak"])),  # [m/s] as in Table I
+        "peak": float(iqm(e["peak"])),  # [m/s] interquartile mean, as in Table I
         "power": float(e["power"].mean()),  # [W] Eq. (9) without its bonus
         "J/m": float(energy_per_metre(e["power"][moving], e["v_x"][moving])),
     }
@@ -177,29 +177,18 @@ def interval(x, statistic=np.mean, **options):
 
 
 def evaluate(folder, args):
-    """Play episodes of a run, and return what `main` prints of it: numbers, by name and unit."""
+    """Play episodes of a run, and return what `main` prints of it: numbers by name.
+
+    The 95 % interval is of performance; the others have the units of `numbers` and of Episodes.
+    """
     pi, env_cfg = load(folder, args.clip, prime=args.prime)
     commands = commands_of(env_cfg.task)
     asked = np.tile(commands, (-(-args.episodes // len(commands)), 1))  # equally many of each
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
-    n = numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
-    return {
-        "episodes": len(asked),
-        "performance": n["performance"],
-        "95 % from": low,
-        "to": high,
-        "fell": n["fell"],
-        "v_x [m/s]": n["v_x"],
-        "peak, IQM [m/s]": n["peak"],
-        "power [W]": n["power"],
-        "energy [J/m]": n["J/m"],
-        "pitch [degrees]": np.abs(played.pitch).mean(),
-        "roll [degrees]": np.abs(played.roll).mean(),
-    }
-
-
-# ---- the command ----
+    row = dict(episodes=len(asked)) | {"95 % from": low, "to": high}
+    row |= numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
+    return row | dict(pitch=np.abs(played.pitch).mean(), roll=np.abs(played.roll).mean())
 
 
 @command("evaluate.py")
@@ -208,12 +197,7 @@ def main(argv):
     parser = Parser("evaluate.py", __doc__.split("\n\n")[0])
     add = parser.add_argument
     add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
-    add(
-        "--episodes",
-        type=int,
-        default=1000,
-        help="of each run, of each command as many (default: 1000)",
-    )
+    add("--episodes", type=int, default=1000, help="of each run (default: 1000)")
     add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)

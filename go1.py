@@ -125,21 +125,17 @@ def leg_points(q):
     return points.reshape(*q.shape[:-1], 8, 3)
 
 
-# ---- the motors: from a joint target to a joint torque ----
+# ---- the motors, from joint targets to joint torques, (..., 12) each: [rad], [rad/s], [N m] ----
 
 
 def pd_torque(target, q, qd):
-    """Torque of the PD controller [N m]: kp (target - q) - kd qd. Section IV-C.
-
-    target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
-    """
+    """Torque of the PD controller [N m]: kp (target - q) - kd qd, not limited yet. IV-C."""
     return KP * (target - q) - KD * qd
 
 
 def motor_model(target, q, qd):
     """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
 
-    target, q: (..., 12) [rad], qd: (..., 12) [rad/s]; returns (..., 12) [N m], not limited yet.
     Deviation D11: the paper's network is not public. This function and the torque-speed limit after
     it approximate the lab's published network for position errors below about 0.5 rad. It is a PD
     controller with 0.2 N m s / rad more damping. That network saturates earlier, at 18 N m for
@@ -151,7 +147,6 @@ def motor_model(target, q, qd):
 def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 
-    qd, qd_max: (..., 12) [rad/s]; returns (..., 12) [N m].
     Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max.
     """
     return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
@@ -160,9 +155,7 @@ def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
 def limit_torque(torque, qd, torque_speed=False):
     """Clip a torque to what the motors can give [N m].
 
-    torque:       (..., 12) [N m], qd: (..., 12) [rad/s]
     torque_speed: apply the limit of Section V-D before that of the URDF
-    returns       (..., 12) [N m]
     """
     limit = np.minimum(torque_speed_limit(qd), TORQUE_LIMIT) if torque_speed else TORQUE_LIMIT
     return np.clip(torque, -limit, limit)

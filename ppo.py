@@ -63,10 +63,9 @@ def optimizer(cfg):
 
     Each network's gradient is clipped by itself. If a number is not finite, all of it is skipped.
     """
-    clip = {
-        name: optax.clip_by_global_norm(cfg.max_grad_norm)
-        for name in ("actor", "critic", "estimator")
-    }
+    clip = dict.fromkeys(
+        ("actor", "critic", "estimator"), optax.clip_by_global_norm(cfg.max_grad_norm)
+    )
     labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, labels), adam)

@@ -13,6 +13,8 @@ velocity. The environment passes the velocity over ground, in the horizontal fra
 with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 from numpy import exp, minimum, square
 
@@ -86,31 +88,7 @@ SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an
 
 
 def shaped(**robot):
-    """The shaped reward (...,) [-]: the weighted sum of its terms, at least 0.
-
-    robot: the arguments of `shaped_terms`
-    """
-    terms = shaped_terms(**robot)
-    return np.maximum(sum(weight * terms[name] for name, weight in SHAPED.items()), 0.0)
-
-
-def shaped_terms(
-    *,
-    velocity,
-    command,
-    v_z,
-    roll_pitch_rate,
-    gravity,
-    torque,
-    qdd,
-    height,
-    landed,
-    collisions,
-    action_change,
-    q,
-    joint_range,
-):
-    """The terms of the shaped reward, not weighted: a dict of (...,), by the names of SHAPED.
+    """The shaped reward (...,) [-]: the sum of its terms, weighted by SHAPED, at least 0.
 
     velocity, command: (..., 3) as above
     v_z:             (...,) [m/s] body velocity upwards
@@ -123,24 +101,26 @@ def shaped_terms(
     action_change:   (..., 12) [-] since the last step
     joint_range:     (2, 12) [rad] lower and upper limits of the joints
     """
-    linear, angular = kernels(velocity, command)
-    moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1
-    middle = joint_range.mean(0)
-    half = SOFT_LIMIT * np.diff(joint_range, axis=0)[0] / 2
-    return dict(
+    r = SimpleNamespace(**robot)
+    linear, angular = kernels(r.velocity, r.command)
+    moving = np.linalg.norm(r.command[..., :2], axis=-1) > 0.1
+    middle = r.joint_range.mean(0)
+    half = SOFT_LIMIT * np.diff(r.joint_range, axis=0)[0] / 2
+    terms = dict(
         linear=linear,
         angular=angular,
-        v_z=v_z**2,
-        roll_pitch_rate=norm2(roll_pitch_rate),
-        tilt=norm2(gravity[..., :2]),
-        torque=norm2(torque),
-        qdd=norm2(qdd),
-        height=(height - HEIGHT) ** 2,
-        air_time=np.where(landed > 0, landed - 0.5, 0.0).sum(-1) * moving,
-        collisions=collisions,
-        action_change=norm2(action_change),
-        joint_limits=np.maximum(np.abs(q - middle) - half, 0.0).sum(-1),
+        v_z=r.v_z**2,
+        roll_pitch_rate=norm2(r.roll_pitch_rate),
+        tilt=norm2(r.gravity[..., :2]),
+        torque=norm2(r.torque),
+        qdd=norm2(r.qdd),
+        height=(r.height - HEIGHT) ** 2,
+        air_time=np.where(r.landed > 0, r.landed - 0.5, 0.0).sum(-1) * moving,
+        collisions=r.collisions,
+        action_change=norm2(r.action_change),
+        joint_limits=np.maximum(np.abs(r.q - middle) - half, 0.0).sum(-1),
     )
+    return np.maximum(sum(weight * terms[name] for name, weight in SHAPED.items()), 0.0)
 
 
 def landings(off_ground, touch, period):

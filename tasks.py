@@ -6,7 +6,7 @@ and `task_config` puts both together. What has a range is drawn anew for each ep
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.ndimage import convolve
@@ -188,8 +188,8 @@ class Config:
     physics_steps: int = 4  # [lab code] physics steps in a control step, which makes 50 Hz
     clock_hz: float = 3.0  # [ours] Hz, frequency of the timing reference that the policy sees
     action_limit: float = 10.0  # [lab code] the policy's actions are clipped to +- this
-    velocity_frame: str = "heading"  # [ours] the frame in which rewards measure velocity (D25)
-    clip: str = "power"  # [ours] what Eq. (9) clips at -3: "torque" as printed, or "power" (D3)
+    velocity_frame: Literal["heading", "body"] = "heading"  # [ours] of the velocity rewarded (D25)
+    clip: Literal["power", "torque"] = "power"  # [ours] what Eq. (9) clips at -3 (D3)
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, from lowest to highest point: range over the tiles
     cells_per_m: int = 4  # [lab code] cells of the Perlin noise per metre; fewer make wider hills
@@ -205,12 +205,9 @@ class Config:
     motor_model: bool = False  # [IV-A.4] a model of the real motors instead of ideal PD (D11)
     latency: int = 0  # [lab code] physics steps until a joint target reaches the motors
     max_power: float | None = None  # [IV-A.4] W, power above which an episode ends; none: no limit
-    reward: str = "paper"  # [V-E] Eqs. (5) to (8), or "shaped", as in reference [5]
-    aux: str = "energy"  # [V-E] the auxiliary cost: "energy", Eq. (9), or "smooth", Eq. (11)
+    reward: Literal["paper", "shaped"] = "paper"  # [V-E] Eqs. (5) to (8), or that of [5]
+    aux: Literal["energy", "smooth"] = "energy"  # [V-E] auxiliary cost: Eq. (9), or Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that few end at once
-
-
-NEW = {}  # fields that were added since files were written, with the value that held before
 
 
 def task_config(task="flat", **changes):
@@ -228,8 +225,8 @@ def read_config(record):
 
     ValueError if its fields are not those of Config, or if there is no such task.
     """
-    if other := ({f.name for f in fields(Config)} ^ record.keys()) - NEW.keys():
+    if other := {f.name for f in fields(Config)} ^ record.keys():
         raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
     if record["task"] not in TASKS:
         raise ValueError(f"there is no task {record['task']}")
-    return Config(**NEW | tuples(record))
+    return Config(**tuples(record))

@@ -28,16 +28,13 @@ import go1_env
 import tasks
 from mirror import Mirrored, plain_policy
 from runtime import checkpoint, jax_setup, metrics, parallel, run_folder
-from runtime.command import Refused, command
+from runtime.command import Refused, StopRequest, command
 from runtime.flags import Options, check, parse, settle
-from runtime.interrupt import StopRequest
 
 
 def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
-    usual = tasks.TASKS[env_cfg.task].learner.get("num_envs", eipo.Config.num_envs)
-    variant += f"-{cfg.num_envs}envs" if cfg.num_envs != usual else ""
     name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
     return Path(options.out or f"runs/{name}")
 
@@ -66,21 +63,19 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def save(folder, state, envs, shown, cfg, is_last):
-    """Write checkpoint, policy and pictures into the run folder; at the end pi_prime's policy.
+def save(folder, state, envs, shown, cfg):
+    """Write checkpoint, policies and pictures into the run folder.
 
     shown: the environments as the policies see them
     """
     checkpoint.save(folder / "checkpoint.npz", state, envs, cfg)
     if jax.process_index():
         return
-    learners = dict(policy=state.pi)
-    if state.pi_prime and is_last:  # the rival, with which one compares pi, Eq. (3)
-        learners |= dict(policy_prime=state.pi_prime)
-    for name, learner in learners.items():
-        params = jax.tree.map(np.asarray, learner.params)  # of several processes this one goes on
-        layers = plain_policy(params, shown[0])
-        run_folder.save_policy(folder / f"{name}.npz", layers, envs[0].env_cfg)
+    for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
+        if learner:
+            params = jax.tree.map(np.asarray, learner.params)  # of several processes this one's
+            layers = plain_policy(params, shown[0])
+            run_folder.save_policy(folder / f"{name}.npz", layers, envs[0].env_cfg)
     try:
         metrics.draw_curves(folder)
     except Exception as error:  # a picture is not worth a run
@@ -114,9 +109,9 @@ def train(folder, envs, cfg, options, command):
         row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
         if is_main:
             log.add(state.iteration, row)
-        is_last = stopped or state.iteration == cfg.iterations
-        if is_last or state.iteration % options.checkpoint_every == 0:
-            save(folder, state, envs, shown, cfg, is_last)
+        is_due = state.iteration % options.checkpoint_every == 0
+        if is_due or stopped or state.iteration == cfg.iterations:
+            save(folder, state, envs, shown, cfg)
         if stopped:
             return state.iteration
 

@@ -25,8 +25,9 @@ FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff"
 OTHERS = "footfalls", "table", "claims", "add"
 
 
-def parse(argv):
-    """The arguments of the command line."""
+@command("results")
+def main(argv):
+    """Do what the command line says; returns the exit status."""
     parser = Parser("python -m results", __doc__)
     add = parser.add_argument
     add("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
@@ -40,28 +41,17 @@ def parse(argv):
         parser.error(f"{args.name} takes at least one argument")
     if args.name == "footfalls" and len(args.what) > 1:
         parser.error("footfalls takes one folder")
-    return args
-
-
-@command("results")
-def main(argv):
-    """Do what the command line says; returns the exit status."""
-    args = parse(argv)
-    lines, figure, rows = (), None, ()
     if args.name == "add":
         record.add(args.what, args.results, args.episodes)
     elif args.name == "table":
-        lines = claims.table(record.runs(args.what))
+        print(*claims.table(record.runs(args.what)), sep="\n")
     elif args.name == "claims":
-        lines = claims.claim_lines(claims.counted(args.results))
+        print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
     elif args.name == "footfalls":
-        figure = figures.footfalls(args.what[0], args.command)
+        figures.save(args.out, args.name, figures.footfalls(args.what[0], args.command))
     else:
         rows, figure = getattr(figures, args.name)(record.runs(args.what))
-    if figure:
         figures.save(args.out, args.name, figure, rows)
-    for line in lines:
-        print(line)
     return 0
 
 

@@ -82,15 +82,11 @@ def counted(results=record.RESULTS):
     for task in TASKS:
         place = results / task
         runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
-        runs = [run for run in runs if run.episodes and run.settings["seed"] in SEEDS]
+        runs = [run for run in runs if run.settings["seed"] in SEEDS]
         commits = {commit for run in runs for commit in record.commits(run.row)}
         if len(commits) > 1:
             raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
-        kinds = by_kind(runs, task) if runs else {}
-        arms[task] = kinds | {
-            f"pi' of {kind}": [run._replace(episodes=run.prime) for run in arm if run.prime]
-            for kind, arm in kinds.items()
-        }
+        arms[task] = record.with_primes(by_kind(runs, task)) if runs else {}
     if not any(arms.values()):
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
     return arms
@@ -233,7 +229,6 @@ def table(runs):
 
     The score is the peak [m/s] on velocity, and elsewhere task performance.
     """
-    runs = [run for run in runs if run.episodes]
     for task in dict.fromkeys(run.settings["task"] for run in runs):
         score = "peak" if task == "velocity" else "performance"
         names = "seeds", f"{score}: mean; each seed", "fell", "from nominal"

@@ -7,21 +7,18 @@ trainings differ. With two or three seeds it reaches from the lowest seed to the
 less than 95 %.
 """
 
-import io
 import re
+from itertools import islice
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
-from PIL import Image
 
 import evaluate
 import go1
 from results import runs as record
 from results.runs import KINDS, LAMBDAS, by_kind
-from runtime import run_folder
-from runtime.command import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
@@ -33,17 +30,11 @@ LABELS = dict(
 
 
 def save(out, name, figure, rows=()):
-    """Write name.png and, of rows, name.csv into the folder out.
-
-    The PNG has 128 colours, which makes it a third of the size.
-    """
+    """Write name.png and, of rows, name.csv into the folder out."""
     out.mkdir(parents=True, exist_ok=True)
     if rows:
         record.write(out / f"{name}.csv", rows)
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=150, format="png")
-    image = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
-    run_folder.replace_file(out / f"{name}.png", lambda f: image.save(f, "PNG", optimize=True))
+    figure.savefig(out / f"{name}.png", dpi=150)
 
 
 # ---- what the figures share ----
@@ -93,7 +84,7 @@ def by_command(runs, task, commands, columns, statistic=np.mean):
     Episodes from random starts, with its intervals. "energy" is energy per metre.
     """
     rows = []
-    for name, seeds in by_kind([run for run in runs if run.episodes], task).items():
+    for name, seeds in by_kind(runs, task).items():
         for command in commands:
             each = [
                 record.where(np.isclose([e[x] for x in record.ASKED], command[:, None]).all(0), e)
@@ -116,8 +107,7 @@ def panels_by(column, rows, num_panels):
 
     Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
     """
-    if not (groups := record.grouped(rows, column)):
-        raise Refused("none of the runs has what is to be drawn")
+    groups = record.grouped(rows, column)
     figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
     panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
     for name, (top, *_) in zip(groups, panels, strict=True):
@@ -125,19 +115,12 @@ def panels_by(column, rows, num_panels):
     return figure, list(zip(groups, groups.values(), panels, strict=True))
 
 
-def legend(column):
-    """Name the kinds of runs of the first panel below the last one."""
-    place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
-    column[-1].legend(*column[0].get_legend_handles_labels(), **place)
-
-
-def log_axis(axes, which):
-    """Make "x" or "y" logarithmic, with ticks at 1, 2, 5, 10, ..."""
-    axes.set(**{f"{which}scale": "log"})
-    axis = {"x": axes.xaxis, "y": axes.yaxis}[which]
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_locator(NullLocator())
+def log_axis(axes):
+    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 # ---- over commands ----
@@ -171,8 +154,9 @@ def over_commands(runs, tasks, columns):
             axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column], xlim=(0, 1))
         all_axes[0].set_ylim(bottom=BOTTOM[task])
         if "energy" in columns:  # a robot that is asked to stand spends much per metre
-            log_axis(all_axes[1], "y")
-        legend(all_axes)
+            log_axis(all_axes[1])
+        place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
+        all_axes[-1].legend(*all_axes[0].get_legend_handles_labels(), **place)
     return rows, figure
 
 
@@ -271,27 +255,25 @@ def tradeoff(runs):
     peak.
     """
     rows = []
-    tasks = dict.fromkeys(run.settings["task"] for run in runs if run.episodes)
+    tasks = dict.fromkeys(run.settings["task"] for run in runs)
     figure = Figure(figsize=(6.5, 3.8 * len(tasks)), layout="constrained")
     for task, axes in zip(tasks, figure.subplots(len(tasks), 1, squeeze=False)[:, 0], strict=True):
         score = "peak" if task == "velocity" else "performance"
-        for name, seeds in by_kind([run for run in runs if run.episodes], task).items():
-            primes = [run._replace(episodes=run.prime) for run in seeds if run.prime]
-            for who, arm, face in ((name, seeds, None), (f"pi' of {name}", primes, "none")):
-                mine = [record.scores(run) for run in arm]
-                rows += [
-                    dict(task=task, kind=who, run=run.name, score=x[score], power=x["power"])
-                    for run, x in zip(arm, mine, strict=True)
-                ]
-                x, y = np.reshape([(x[score], x["power"]) for x in mine], (-1, 2)).T
-                look = style(name)
-                look |= dict(facecolor=face or look["color"], edgecolor=look.pop("color"))
-                axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
-                if arm:
-                    label = f"{who}, n = {len(arm)}"
-                    axes.scatter(x.mean(), y.mean(), 60, label=label, linewidths=1, **look)
+        for name, arm in record.with_primes(by_kind(runs, task)).items():
+            look = style(name.removeprefix("pi' of "))
+            look["edgecolors"] = look.pop("color")
+            look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
+            mine = [record.scores(run) for run in arm]
+            x, y = (np.array([numbers[key] for numbers in mine]) for key in (score, "power"))
+            axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
+            axes.scatter(x.mean(), y.mean(), 60, label=f"{name}, n = {len(arm)}", **look)
+            about = dict(task=task, kind=name)
+            rows += [
+                about | dict(run=run.name, score=a, power=b)
+                for run, a, b in zip(arm, x, y, strict=True)
+            ]
         axes.set(xlabel=LABELS[score], ylabel=LABELS["power"], title=task)
-        log_axis(axes, "y")
+        log_axis(axes)
         axes.grid(alpha=0.3)
         axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=7)
     return rows, figure
@@ -300,7 +282,6 @@ def tradeoff(runs):
 # ---- footfalls: which foot is on the ground when ----
 
 SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
-COLORS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00")  # of FR, FL, RR, RL
 
 
 def contacts_of(policy, env):
@@ -309,42 +290,31 @@ def contacts_of(policy, env):
 
     Arguments are those of `evaluate.play_episode`.
     """
-    contacts = []
-    speeds = []
     first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
-    for i, (_, log, _, _) in enumerate(evaluate.play_episode(policy, env)):
-        if i >= first:
-            contacts.append(env.contacts[:, -4:] > 0)
-            speeds.append(log["v_x"])
-        if i + 1 == last:
-            return np.array(contacts), np.mean(speeds, 0)
-
-
-def draw_contacts(axes, contact, period, title):
-    """Draw the contacts (T, 4) of a robot as a bar for each foot; period: [s] of a row."""
-    for j, on_ground in enumerate(contact.T):
-        changes = np.flatnonzero(np.diff(np.concatenate([[0], on_ground, [0]])))
-        first, end = period * changes.reshape(-1, 2).T
-        bars = np.column_stack([first, end - first])
-        axes.broken_barh(bars, (-j - 0.4, 0.8), color=COLORS[j])
-    axes.set(yticks=-np.arange(4), yticklabels=go1.LEGS, title=title)
-    axes.set_xlim(0, period * len(contact))
+    steps = islice(evaluate.play_episode(policy, env), first, last)
+    seen = [(env.contacts[:, go1.FEET] > 0, log["v_x"]) for _, log, _, _ in steps]
+    contacts, speeds = map(np.array, zip(*seen, strict=True))
+    return contacts, speeds.mean(0)
 
 
 def footfalls(folder, speeds):
-    """Bars where the feet of a folder's robots touch the ground, which began in the nominal pose.
+    """Where the feet of a folder's robots touch the ground, which began in the nominal pose.
 
-    speeds: [m/s] ahead, asked for, a robot each; a task without such commands has one robot
+    speeds: [m/s] ahead, asked for, a robot each; a task that asks for nothing has one robot
     """
     pi, env_cfg = evaluate.load(folder, nominal=True)
+    asks = len(evaluate.commands_of(env_cfg.task)) > 1
+    speeds = speeds if asks else [0.0]
     env = evaluate.make_env(env_cfg, np.outer(speeds, [1.0, 0.0, 0.0]))
     contacts, reached = contacts_of(pi.mean, env)
-    asks = len(evaluate.commands_of(env_cfg.task)) > 1
-    speeds = speeds if asks else speeds[:1]
     figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")
     panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]
     for i, axes in enumerate(panels):
         asked = f"asked for {speeds[i]:g} m/s, " if asks else ""
-        draw_contacts(axes, contacts[:, i], env.period, f"{asked}moves at {reached[i]:.2f} m/s")
+        place = dict(extent=(0, SHOWN, 3.5, -0.5), aspect="auto", interpolation="nearest")
+        axes.imshow(contacts[:, i].T, cmap="Blues", vmin=0, vmax=1.3, **place)
+        title = f"{asked}moves at {reached[i]:.2f} m/s"
+        axes.set(yticks=range(4), yticklabels=go1.LEGS, title=title)
+        axes.hlines((0.5, 1.5, 2.5), 0, SHOWN, color="white", linewidth=4)
     panels[-1].set_xlabel("time [s]")
     return figure

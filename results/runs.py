@@ -103,25 +103,18 @@ def columns(rows):
 
 
 def runs(patterns):
-    """The Runs of patterns.
-
-    A pattern is results/TASK, for all runs whose names begin with the task's name, as train.py
-    names them, or results/TASK/NAME, in which NAME may have * ? and [...].
-    """
+    """The Runs of patterns that have episodes; `python -m results -h` explains the patterns."""
     found = []
-    tables = {}
     for path in map(Path, patterns):
         place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
-        if place not in tables:
-            files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED))
-            tables[place] = [grouped(read(file), "run") for file in files]
-        listed, metrics, episodes, speed = tables[place]
-        names = [run for run in listed if fnmatchcase(run, name)]
+        files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED))
+        listed, metrics, episodes, speed = (grouped(read(file), "run") for file in files)
+        names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
         if not names:
             raise Refused(f"{place / RUNS} has no run {name}")
         for run in names:
             (row,) = listed[run]
-            played = by_policy(episodes.get(run, []))
+            played = by_policy(episodes[run])
             parts = metrics.get(run, []), *played, speed.get(run, [])
             found.append(Run(run, settings_of(row), row, *map(columns, parts)))
     return found
@@ -199,6 +192,16 @@ def by_kind(runs, task):
                 raise Refused(f"{what} {', '.join(sorted(names)) or 'nothing'}")
     place = dict(zip(KINDS, range(10), strict=True))
     return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 10), x[0])))
+
+
+def with_primes(kinds):
+    """Kinds of runs, of `by_kind`, and after each kind of EIPO its "pi' of EIPO ..."."""
+    found = {}
+    for name, arm in kinds.items():
+        found[name] = arm
+        if primes := [run._replace(episodes=run.prime) for run in arm if run.prime]:
+            found[f"pi' of {name}"] = primes
+    return found
 
 
 # ---- into the tables ----

@@ -4,8 +4,7 @@ flags.py        the flags of `train.py`, and with which settings one can train
 run_folder.py   what a run leaves on disk; checkpoint.py has the file with which it goes on
 viewer.py       a robot as MuJoCo draws it
 metrics.py      the numbers of a run, its line on the console, its pictures
-interrupt.py    how a run ends when it is told to
 jax_setup.py    what JAX computes with, and on what the last digits of a run depend
 parallel.py     how several processes share it
-command.py      how the commands speak
+command.py      how the commands speak and end
 """

@@ -1,8 +1,9 @@
-"""How the commands speak: a flag that does not fit, or work that is refused, is one line."""
+"""How the commands speak and end: what is refused is one line, and Ctrl-C stops a run."""
 
 import argparse
 import functools
 import math
+import signal
 import sys
 
 
@@ -67,3 +68,22 @@ def command(name):
         return guarded
 
     return wrap
+
+
+class StopRequest:
+    """From now on the first signal makes `requested` True, and the second one ends the process.
+
+    Made after the first iteration: before that nothing is worth saving, and JAX compiles in C++,
+    where a handler in Python would have to wait.
+    """
+
+    def __init__(self):
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) != signal.SIG_IGN:  # a script's `&` lets it ignore SIGINT
+                signal.signal(number, self.hear)
+
+    def hear(self, number, _):
+        self.requested = True
+        signal.signal(number, signal.SIG_DFL)
+        print("\nStopping after this iteration. Ctrl-C again stops at once", flush=True)

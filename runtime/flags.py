@@ -9,7 +9,7 @@ import inspect
 import math
 import re
 from dataclasses import dataclass, fields, is_dataclass
-from typing import get_args
+from typing import Literal, get_args, get_origin
 
 import eipo
 import tasks
@@ -31,14 +31,6 @@ class Options:
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
-WORDS = dict(
-    task=tasks.TASKS,
-    algo=("eipo", "ppo"),
-    velocity_frame=("heading", "body"),
-    clip=("torque", "power"),
-    aux=("energy", "smooth"),
-    reward=("paper", "shaped"),
-)
 FROM_0 = ("seed", "ground_seed", "latency", "process")  # whole numbers that may be 0
 # what a number may be; those of the other fields are 0 or more, and none is nan or infinite
 DOMAINS = {
@@ -73,8 +65,10 @@ def kind_of(field):
     """Arguments of argparse for a field, by its annotation. The word none stands for None."""
     if field.type is bool:
         return dict(action=argparse.BooleanOptionalAction)
-    if field.name in WORDS:
-        return dict(choices=list(WORDS[field.name]))
+    if field.name == "task":
+        return dict(choices=list(tasks.TASKS))
+    if get_origin(field.type) is Literal:
+        return dict(choices=get_args(field.type))
     several = field.type is tuple
     types = (type(field.default[0]),) if several else get_args(field.type) or (field.type,)
     kind, *optional = types  # int | None is two of them

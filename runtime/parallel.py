@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.flatten_util import ravel_pytree
-from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from jax.sharding import AxisType, PartitionSpec
 
 import ppo
 from runtime.command import Refused, complaint
@@ -138,12 +138,11 @@ class Shared:
 # ---- arrays of all processes ----
 
 
-def sharding(*axes):
-    """A NamedSharding over one device of each process."""
+def one_of_each():
+    """A mesh of one device of each process."""
     first = {device.process_index: device for device in reversed(jax.devices())}
     devices = [first[i] for i in range(jax.process_count())]
-    mesh = jax.make_mesh((len(devices),), ("process",), (AxisType.Auto,), devices=devices)
-    return NamedSharding(mesh, PartitionSpec(*axes))
+    return jax.make_mesh((len(devices),), ("process",), (AxisType.Auto,), devices=devices)
 
 
 def shared(gradient):
@@ -161,7 +160,7 @@ def shared(gradient):
         # check_vma=True would add up gradients before `mean` sees them
         specs = dict(out_specs=everything, check_vma=False)
         specs |= dict(in_specs=(everything, everything, PartitionSpec("process")))
-        return jax.shard_map(mean, mesh=sharding().mesh, **specs)(params, data, chosen)
+        return jax.shard_map(mean, mesh=one_of_each(), **specs)(params, data, chosen)
 
     return call
 
@@ -171,8 +170,4 @@ def everywhere(tree):
     if jax.process_count() == 1:
         return tree
 
-    def replicated(x):
-        x = np.asarray(x)
-        return jax.make_array_from_callback(x.shape, sharding(), lambda part: x[part])
-
-    return jax.tree.map(replicated, tree)
+    return multihost_utils.host_local_array_to_global_array(tree, one_of_each(), PartitionSpec())

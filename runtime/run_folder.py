@@ -3,7 +3,7 @@
     config.json       every setting; command, commit, machine and versions of each start
     metrics.csv       a row per iteration; clock time is where "time" or "per_s" is in the name
     checkpoint.npz    all that the next iteration depends on, and the settings with which it goes on
-    policy.npz        all that it takes to run the policy pi; EIPO adds policy_prime.npz at the end
+    policy.npz        all that it takes to run the policy pi; EIPO adds policy_prime.npz
     curves.png        the metrics, drawn
     lock              empty; a process that trains here holds it
 

@@ -1,4 +1,4 @@
-"""XLA takes no products from a library that was seen to get them wrong (runtime/__init__.py)."""
+"""XLA takes no products from a library that was seen to get them wrong (runtime/jax_setup.py)."""
 
 import jax
 import numpy as np

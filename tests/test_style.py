@@ -31,7 +31,6 @@ LAYERS = {
     "mirror": {"numpy", "scipy"},
     "runtime/__init__": set(),
     "runtime/command": set(),
-    "runtime/interrupt": set(),
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
     "runtime/run_folder": {"numpy"},

@@ -190,7 +190,7 @@ def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
 def test_the_second_signal_ends_a_run_and_an_ignored_one_stays_ignored(number):
     code = f"""
 import os, signal
-from runtime.interrupt import StopRequest
+from runtime.command import StopRequest
 ask = lambda: os.kill(os.getpid(), {int(number)})
 signal.signal({int(number)}, signal.SIG_IGN)
 stop = StopRequest()

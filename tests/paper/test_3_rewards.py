@@ -228,7 +228,6 @@ def test_shaped_reward_term_by_term(changes, lost):
     published weight.
     """
     assert rewards.shaped(**robot(**changes)) == pytest.approx([1.5 - lost])
-    assert list(rewards.shaped_terms(**robot())) == list(rewards.SHAPED)
 
 
 def test_landings_by_hand():
