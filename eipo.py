@@ -1,9 +1,9 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper.
 
 `eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline. It
-has neither pi_prime nor alpha, and weighs r and f by 1 and lambda. At alpha = 1 / lambda both have
-the same objective, but for a factor, which PPO normalises away. What they call follows in the order
-of the lines, and `ppo.py` has the update of lines 9 and 11.
+has neither pi_prime nor alpha, and weights r and f by 1 and lambda. At alpha = 1 / lambda both have
+the same objective up to a factor, which normalising the advantages removes. What they call follows
+in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
@@ -13,10 +13,12 @@ of the lines, and `ppo.py` has the update of lines 9 and 11.
     D, P, A, K      widths, see `networks.py`
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
-`action_size`, as `go1_env.Go1Env` documents them. `train.py` makes one for each policy, and picks
-the algorithm. This file knows nothing of robots and of the file system. The loop over iterations is
-plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled. D6 is an entry
-of `deviations.md`, which says where we depart from the paper and why.
+`action_size`, as `go1_env.Go1Env` documents them. An observation is the whole history of IV-C.a.
+With a mirror (D28) the environment is a `mirror.Mirrored`, which converts what it shows and what it
+is told. `train.py` makes one for each policy, and picks the algorithm. This file knows nothing of
+files or of other processes. The loop over iterations is plain Python, so that a `breakpoint()`
+works in it. Acting and learning are compiled. D6 is an entry of `deviations.md`, which says where
+we depart from the paper and why; "the lab" there is the authors' group and its public code.
 """
 
 from dataclasses import dataclass, fields
@@ -47,14 +49,14 @@ class Config(PPOConfig):
     mirror: bool = True  # [ours] let `train.py` tie weights by the robot's left-right mirror (D28)
 
     @property
-    def learner(self):
-        """The part with which a learner is compiled, so that a new seed or lam compiles nothing."""
+    def ppo_cfg(self):
+        """The PPOConfig alone, with which functions are compiled: a new seed compiles none anew."""
         return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
 
     @property
     def cost_scale(self):
         """Factor on f in what the critic learns: lam, since lam f is about as large as r (D6)."""
-        return self.lam or 1e-6  # it is divided out again, so it cannot be 0
+        return self.lam or 1e-6  # `estimate` divides by it
 
 
 class Dual(NamedTuple):
@@ -78,14 +80,14 @@ class Transition(NamedTuple):
     """One step of N environments, (N, ...). tau of Algorithm 1 is T of them, (T, N, ...)."""
 
     obs: np.ndarray  # (N, D)
-    privileged: np.ndarray  # (N, P)
+    privileged: np.ndarray  # (N, P) true body velocity, for the critic; the actor estimates it
     action: np.ndarray  # (N, A)
     log_prob: np.ndarray  # (N,) of the action, under the policy that chose it
     reward: np.ndarray  # (N,) r of the step
     cost: np.ndarray  # (N,) f of the step
     terminated: np.ndarray  # (N,) bool, where the episode failed, and nothing follows
     truncated: np.ndarray  # (N,) bool, where its time was up; never both
-    next_obs: np.ndarray  # (N, D) where the step led, also where the episode ended
+    next_obs: np.ndarray  # (N, D) after the step, and before any reset
     next_privileged: np.ndarray  # (N, P)
 
 
@@ -96,7 +98,7 @@ class Estimate(NamedTuple):
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
-    target: jax.Array  # (T, N, K) lambda-returns of r and cost_scale f, which the critic learns
+    target: jax.Array  # (T, N, K) TD(gae_lambda) returns of r and cost_scale f, for the critic
 
 
 # ---- Algorithm 1 ----
@@ -106,7 +108,7 @@ def eipo(env, env_prime, cfg, state=None):
     """Algorithm 1, for Eqs. (3) and (4), as a generator of the State and metrics of each iteration.
 
     env, env_prime: environments of pi and of pi_prime
-    state:          the State to go on from, with env and env_prime as they were then, or None
+    state:          State to resume from, with both environments as they were then; None: a new one
     The tags are the paper's line numbers. Where line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
@@ -119,14 +121,14 @@ def eipo(env, env_prime, cfg, state=None):
         tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi, tau, cfg.cost_scale, cfg.learner)
+        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo_cfg)
         advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
-        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.learner)  # Alg.1 L9
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.ppo_cfg)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.learner)  # Alg.1 L10
+        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.ppo_cfg)  # Alg.1 L10
         advantage_prime = est_prime.advantage[..., 0]
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
-            pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg.learner
+            pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg.ppo_cfg
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
@@ -144,9 +146,9 @@ def ppo(env, cfg, state=None):
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
-        est = estimate(pi, tau, cfg.cost_scale, cfg.learner)
+        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo_cfg)
         advantage = mix(est.advantage, 1, cfg.lam)
-        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.learner)
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.ppo_cfg)
         yield State(iteration, state.key, pi, None, None), summary(est, 1, cfg.lam) | log | losses
 
 
@@ -156,12 +158,12 @@ def iteration_keys(key, iteration):
 
 
 def summary(est, task, cost):
-    """Metrics of an iteration: J(pi), and the task's share of pi's objective, weighed as in `mix`.
+    """Metrics of an iteration: J(pi), and the task's share of pi's objective, weighted as in `mix`.
 
-    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1, alpha no longer matters.
+    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1 the cost has no say.
     """
-    weighed = est.advantage.std((0, 1)) * jnp.array([task, cost])
-    return dict(J=estimate_J(est), task_share=weighed[0] / (weighed.sum() + 1e-30))
+    weighted = est.advantage.std((0, 1)) * jnp.array([task, cost])
+    return dict(J=estimate_J(est), task_share=weighted[0] / (weighted.sum() + 1e-30))
 
 
 # ---- L3, L4: the start ----
@@ -175,11 +177,11 @@ def init_state(env, env_prime, cfg):
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     env.reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
-    pi = init_learner(rng, env, ("reward", "cost"), cfg.learner)
+    pi = init_learner(rng, env, ("reward", "cost"), cfg.ppo_cfg)
     if env_prime is None:
         return State(0, key, pi, None, None)
     env_prime.reset(2 * cfg.seed + 1)
-    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.learner)
+    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.ppo_cfg)
     return State(0, key, pi, pi_prime, Dual(1 / cfg.lam, 0.0))
 
 
@@ -202,7 +204,7 @@ def rollout(env, learner, key, cfg):
     for t in range(cfg.num_steps):
         obs, privileged = env.observe()
         action, log_prob = map(np.asarray, act(learner, obs, key, t))
-        # where an episode ended, the next one has begun; final_obs is where this step led, always
+        # where an episode ended the next one has begun; final_obs is always from before that reset
         _, reward, terminated, truncated, info = env.step(action)
         transition = Transition(
             obs=obs,
@@ -276,9 +278,9 @@ def mix(advantage, task, cost):
 def estimate_J(est):
     """J of a policy (L12): the mean of the task's target over the states of its rollout.
 
-    A target is what a policy earns from a state on, in which its own critic stands for what follows
-    the rollout. It is averaged over all visited states, not only the first (D8), and has the factor
-    reward_scale. Normalised advantages, as in the lab's code, have the mean 0 for every policy.
+    A target blends the rewards of the rollout with the values of the policy's own critic. It is
+    averaged over all visited states, not only the first (D8), and has the factor reward_scale. The
+    lab's code compares normalised advantages, whose mean is 0 for all, so alpha would rest.
     """
     return est.target[..., 0].mean()
 
@@ -292,8 +294,9 @@ def step_alpha(dual, gap, cfg):
     gap: J(pi) - J(pi_prime)
 
     dL/dalpha is -gap, where the paper prints +gap (D2), so alpha is pushed up while pi is the worse
-    one. Momentum is that of torch's SGD, so alpha follows with a lag. Where it would fall below 0,
-    it becomes 0 and loses its momentum. If the gap is not finite, alpha and momentum stay (D44).
+    one. Momentum is that of torch's SGD: alpha lags behind the gap, and a steady gradient counts
+    1 / (1 - momentum_alpha) times. Where alpha would fall below 0, it becomes 0 and loses its
+    momentum. If the gap is not finite, both stay (D44).
     """
     if not np.isfinite(gap):
         return dual

@@ -1,7 +1,7 @@
 """Actor, critic and estimator (Section IV-C.b): MLPs as functions of their parameters.
 
 params    {"actor", "critic", "estimator": [Layer, ...], "log_std": of the action's noise}
-D, P, A   widths of an observation, of the privileged part of a state and of an action
+D, P, A   widths of an observation, of what is privileged (the true body velocity) and of an action
 K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
 
 A left-right mirror may tie the weights (D28). Then an array holds even entries, which the mirror
@@ -24,12 +24,13 @@ class Layer(NamedTuple):
     """A linear layer. Right and left units share a bias, so the odd entries have none."""
 
     weights: tuple  # of one matrix (n, m), or of two, for even and for odd entries
-    bias: jax.Array  # (m,) of the first
+    bias: jax.Array  # (m,) that is added to the outputs of the first matrix
 
 
 def mlp(layers, x):
     """Outputs (..., m) of an MLP for inputs (..., n), with ELU between the layers."""
-    halves = jnp.split(x, [len(matrix) for matrix in layers[0].weights[:-1]], -1)  # or one whole
+    even_inputs = [len(matrix) for matrix in layers[0].weights[:-1]]  # none without a mirror
+    halves = jnp.split(x, even_inputs, -1)
     for i, layer in enumerate(layers):
         if i:  # ELU acts on the right and left units themselves
             halves = sum_and_difference([jax.nn.elu(half) for half in sum_and_difference(halves)])
@@ -54,7 +55,7 @@ def policy(params, obs):
     """
     estimate = mlp(params["estimator"], obs)
     mean = mlp(params["actor"], join(params, obs, jax.lax.stop_gradient(estimate)))
-    # even and odd entries of a pair share one, so that right and left are equally noisy
+    # the even and the odd entry of a pair share one, so the noise of right and left is independent
     std = jnp.exp(jnp.tile(params["log_std"], len(params["actor"][-1].weights)))
     return mean, jnp.broadcast_to(std, mean.shape), estimate
 
@@ -66,7 +67,7 @@ def value(params, obs, privileged):
 
 def join(params, obs, privileged):
     """obs and what is privileged, or its estimate, as one (..., D + P), even entries first."""
-    even = params["estimator"][-1].weights[0].shape[1]
+    even = params["estimator"][-1].weights[0].shape[1]  # the estimator's outputs are of this kind
     return jnp.concatenate([privileged[..., :even], obs, privileged[..., even:]], -1)
 
 
@@ -94,8 +95,9 @@ def init_params(rng, env, heads, cfg):
     n_obs, n_privileged, n_action = map(np.atleast_1d, sizes)  # one number each, or even and odd
     n_values = [heads, 0][: len(n_obs)]  # a mirrored state has the same value: nothing is odd
 
-    def init(inputs, hidden, outputs):
-        return init_mlp(rng, [inputs, *([n // len(inputs)] * len(inputs) for n in hidden), outputs])
+    def init(inputs, widths, outputs):
+        hidden = [[n // len(inputs)] * len(inputs) for n in widths]  # as many even as odd units
+        return init_mlp(rng, [inputs, *hidden, outputs])
 
     return dict(
         actor=init(n_obs + n_privileged, cfg.hidden, n_action),
@@ -113,7 +115,7 @@ def init_mlp(rng, widths):
     """
 
     def uniform(fan_in, *shape):
-        scale = np.sqrt(max(fan_in, 1))  # there may be no odd entries
+        scale = np.sqrt(max(fan_in, 1))  # an environment may have no odd inputs
         return (rng.uniform(-1, 1, shape) / scale).astype(np.float32)
 
     layers = []

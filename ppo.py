@@ -1,7 +1,7 @@
 """Proximal policy optimization: a policy's update from one rollout, lines 9 and 11 of Algorithm 1.
 
-It needs no alpha, J or F. It takes one advantage for each sample, in which those of r and f have
-already been mixed. The widths D, P, A and K are those of `networks.py`.
+It needs no alpha, J or F. It takes one advantage for each sample, in which for pi those of r and f
+have already been mixed. The widths D, P, A and K are those of `networks.py`.
 """
 
 from dataclasses import dataclass, field
@@ -24,8 +24,8 @@ class PPOConfig:
 
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
-    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's first step size; the paper: 1e-3 (D20)
-    target_kl: float = 0.03  # [ours] mean KL during an update at which lr aims; 0: fixed lr (D20)
+    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's initial step size; the paper: 1e-3 (D20)
+    target_kl: float = 0.03  # [ours] mean KL of an update that lr aims at; 0: fixed lr (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
@@ -61,7 +61,8 @@ def init_learner(rng, env, streams, cfg):
 def optimizer(cfg):
     """Adam without its step size.
 
-    Each network's gradient is clipped by itself. If a number is not finite, all of it is skipped.
+    Each network's gradient is clipped by itself. If a number in any is not finite, the whole step
+    is skipped.
     """
     clip = dict.fromkeys(
         ("actor", "critic", "estimator"), optax.clip_by_global_norm(cfg.max_grad_norm)
@@ -69,7 +70,7 @@ def optimizer(cfg):
     labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, labels), adam)
-    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)  # never give up
+    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)  # never apply one
 
 
 @partial(jax.jit, static_argnames="cfg")
@@ -106,7 +107,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
 def shuffled(key, size, cfg):
     """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41).
 
-    What is left when samples are shared out equally takes no part in that epoch.
+    Samples left over after an equal split are dropped for that epoch.
     """
     keys = jax.random.split(key, cfg.num_epochs)
     orders = jax.vmap(lambda k: jax.random.permutation(k, size))(keys)

@@ -233,7 +233,7 @@ def make_run(folder, task="flat", action=None, **learner):
     small = dict(hidden=(8,), hidden_estimator=(8,))
     _, cfg = settle(dict(task=task), small | learner)
     env = go1_env.Go1Env(1, env_cfg, 1)
-    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.learner)
+    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.ppo_cfg)
     if action is not None:
         pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)

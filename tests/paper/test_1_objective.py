@@ -162,7 +162,7 @@ def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
         next_privileged=zero,
     )
     pi = learner_of(handmade(critic=((critic,), (0.0,))))
-    return eipo.estimate(pi, tau, EIPO.lam, EIPO.learner)
+    return eipo.estimate(pi, tau, EIPO.lam, EIPO.ppo_cfg)
 
 
 def test_algorithm1_line08_gae_bootstraps_from_where_the_step_led():

@@ -105,7 +105,7 @@ def roll(env, pi):
 
 def errors(pi, tau):
     """One-step errors (T, N, K): the advantages with gae_lambda = 0, at gamma = 1/2."""
-    cfg = replace(EIPO.learner, gae_lambda=0.0)
+    cfg = replace(EIPO.ppo_cfg, gae_lambda=0.0)
     return np.asarray(eipo.estimate(pi, tau, 1.0, cfg).advantage)
 
 
@@ -163,7 +163,7 @@ def test_algorithm1_line08_streams_are_of_comparable_size():
 
     and line 8 mixes the advantages of r and of f itself, 0.02 and 0.02 * -126 = -2.52.
     """
-    cfg = replace(EIPO.learner, reward_scale=0.02)
+    cfg = replace(EIPO.ppo_cfg, reward_scale=0.02)
     for heads in (1, 2):
         pi = learner_of(handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1))))
         tau, log = roll(Probe(one, cost=lambda x, t, a: -126 + 0 * x), pi)

@@ -55,7 +55,7 @@ def test_networks_init_range():
 def test_networks_have_the_widths_of_their_flags(is_mirrored, halves):
     """IV-C.b: actor and critic have the same, the estimator its own. A half has half of them."""
     env = make(1, history=1)
-    cfg = replace(EIPO.learner, hidden=(16, 12, 8), hidden_estimator=(6, 4))
+    cfg = replace(EIPO.ppo_cfg, hidden=(16, 12, 8), hidden_estimator=(6, 4))
     env = mirror.Mirrored(env) if is_mirrored else env
     params = networks.init_params(np.random.default_rng(0), env, 2, cfg)
     widths = {
@@ -277,7 +277,7 @@ def new_policy(is_mirrored=True):
     """
     env, rng = make(8, noise=1.0, history=2), np.random.default_rng(0)
     env = mirror.Mirrored(env) if is_mirrored else env
-    cfg = replace(EIPO.learner, hidden=(16, 8), hidden_estimator=(6, 4))
+    cfg = replace(EIPO.ppo_cfg, hidden=(16, 8), hidden_estimator=(6, 4))
     params = networks.init_params(rng, env, 2, cfg)
     params = jax.tree.map(lambda x: np.float32(rng.normal(size=x.shape) / 8), params)
     params["log_std"] = np.arange(len(params["log_std"])) / np.float32(8)
@@ -377,7 +377,7 @@ def test_algorithm1_line09_ppo_loss():
     batch = {name: jnp.full((4, 1), x) for name, x in batch.items()}
     batch |= dict(log_prob=jnp.full(4, then), advantage=jnp.ones(4))
     pi = learner_of(handmade())
-    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.learner)
+    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.ppo_cfg)
     assert float(loss) == pytest.approx(3.0358106, rel=1e-6)
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
 
@@ -399,7 +399,7 @@ def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples(
         advantage=jnp.zeros(2),
         log_prob=jnp.full(2, -0.91893853),  # of a normal at its mean
     )
-    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.learner)
+    loss, log = ppo.ppo_loss(pi.params, batch, EIPO.ppo_cfg)
     assert (log["value_loss"], log["estimator_loss"]) == (5 / 2, 21 / 8)
     assert float(loss) == pytest.approx(5 / 2 + 21 / 8 - 0.014189385, rel=1e-6)
 
@@ -414,7 +414,7 @@ def test_algorithm1_line09_ppo_loss_entropy_of_two_joints():
     pi = learner_of(params)
     batch = dict(obs=jnp.zeros((3, 1)), privileged=jnp.zeros((3, 1)), action=jnp.zeros((3, 2)))
     batch |= dict(target=jnp.zeros((3, 1)), advantage=jnp.zeros(3), log_prob=jnp.zeros(3))
-    loss, _ = ppo.ppo_loss(pi.params, batch, EIPO.learner)
+    loss, _ = ppo.ppo_loss(pi.params, batch, EIPO.ppo_cfg)
     assert float(loss) == pytest.approx(-0.049173186, rel=1e-6)
 
 
@@ -430,7 +430,7 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, advantage=None, target=N
     """
     env = SimpleNamespace(obs_size=2, privileged_size=1, action_size=1)
     streams = "reward", "cost"
-    learner = ppo.init_learner(np.random.default_rng(0), env, streams, EIPO.learner)
+    learner = ppo.init_learner(np.random.default_rng(0), env, streams, EIPO.ppo_cfg)
     learner = replace(learner, lr=np.float32(cfg.lr if lr is None else lr))
     learner.params["log_std"] += np.float32(log_std)
     rng = np.random.default_rng(2)
@@ -441,7 +441,7 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, advantage=None, target=N
     target = usual if target is None else target
     advantage = advantages(3) if advantage is None else advantage
     before = jax.tree.map(np.array, learner.params)
-    learner, log = ppo.ppo_update(learner, tau, target, advantage, key, cfg.learner)
+    learner, log = ppo.ppo_update(learner, tau, target, advantage, key, cfg.ppo_cfg)
     return learner.params, log | dict(next_lr=learner.lr), before
 
 
@@ -487,7 +487,7 @@ def test_algorithm1_line09_ppo_shuffles_the_minibatches():
     """D41. Of 131 samples each of 4 epochs puts 130 into 2 minibatches, none twice and in an order
     of its own. Another key draws other minibatches.
     """
-    orders = np.asarray(ppo.shuffled(KEY, 131, EIPO.learner))
+    orders = np.asarray(ppo.shuffled(KEY, 131, EIPO.ppo_cfg))
     assert orders.shape == (4 * 2, 65)
     epochs = orders.reshape(4, 130)
     assert all(
@@ -531,7 +531,7 @@ def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
     """
     actor, log_std, critic = jnp.array([3.0]), jnp.array([4.0]), jnp.array([0.375, 0.5])
     gradient = dict(actor=actor, log_std=log_std, critic=critic, estimator=jnp.zeros(2))
-    optimizer = ppo.optimizer(EIPO.learner)
+    optimizer = ppo.optimizer(EIPO.ppo_cfg)
     step, state = optimizer.update(gradient, optimizer.init(gradient))
     mean, square = (optax.tree_utils.tree_get(state, name) for name in ("mu", "nu"))
     assert [*mean["actor"], *mean["log_std"]] == pytest.approx([0.06, 0.08])
@@ -554,7 +554,7 @@ def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
 )
 def test_lr_follows_the_kl_of_an_iteration(lr, kl, target_kl, then):
     """D20: in a range of [1e-5, 1e-3]."""
-    cfg = replace(EIPO.learner, target_kl=target_kl)
+    cfg = replace(EIPO.ppo_cfg, target_kl=target_kl)
     assert float(ppo.adapt_lr(jnp.float32(lr), kl, cfg)) == pytest.approx(then)
 
 
