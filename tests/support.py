@@ -251,18 +251,10 @@ def error_of(capsys, main, *argv):
     return line
 
 
-def write_other_npz(path):
-    """An archive of another program in the place of a file."""
-    with path.open("wb") as file:
-        np.savez(file, weights=np.ones(3))
-
-
 DAMAGES = {
     "missing": lambda path: path.unlink(),
-    "empty": lambda path: path.write_bytes(b""),
     "truncated": lambda path: path.write_bytes(path.read_bytes()[:-500]),
     "binary": lambda path: path.write_bytes(b"\xff\x00"),
-    "of another program": write_other_npz,
 }  # of a file
 
 

@@ -25,7 +25,7 @@ KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
 
 
-def made(run="r", task="flat", speed=None, prime=None, **columns):
+def made(run="r", task="flat", speed=None, **columns):
     """A Run with the usual settings of a task, but for those that are given. Other columns are of
     its episodes, which are of random starts and 0 where nothing is given.
     """
@@ -35,7 +35,7 @@ def made(run="r", task="flat", speed=None, prime=None, **columns):
     n = max((len(x) for x in columns.values()), default=0)
     world = dict(start_spread=0.5) | dict.fromkeys((*record.ASKED, *evaluate.Episodes._fields), 0)
     e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
-    return record.Run(run, settings, {}, dict(alpha=[200, 400]), e, prime or {}, speed or {})
+    return record.Run(run, settings, {}, dict(alpha=[200, 400]), e, {}, speed or {})
 
 
 def cells(rows, *columns):
@@ -127,23 +127,6 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
     found = [(row["run"], row["v_x"]) for row in rows if row["time"] == 0.51]
     assert found == [("s0", 2), ("s1", 4), ("mean", 3)]
     assert figure.legends[0].get_texts()[0].get_text() == "EIPO, n = 2"
-
-
-def test_tradeoff_has_pi_and_pi_prime():
-    """A small dot for each run and a large one for their mean, of pi and of pi_prime."""
-    prime = {x: np.full(2, 500.0 if x == "power" else 0.5) for x in evaluate.Episodes._fields}
-    prime |= {x: np.zeros(2) for x in record.ASKED} | dict(start_spread=np.array([0.5, 0.0]))
-    start = dict(start_spread=[0.5, 0.0])
-    seeds = [
-        made(f"s{i}", seed=i, prime=prime, performance=[i, i], power=[100, 100], **start)
-        for i in range(3)
-    ]
-    rows, figure = figures.tradeoff(seeds)
-    assert [(row["kind"], row["score"], row["power"]) for row in rows] == [
-        *(("EIPO", i, 100) for i in range(3)),
-        *(("pi' of EIPO", 0.5, 500) for i in range(3)),
-    ]
-    assert [len(x.get_offsets()) for x in figure.axes[0].collections] == [3, 1, 3, 1]
 
 
 # ---- kinds of runs ----

@@ -37,19 +37,15 @@ def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, it
 
 def test_paper_settings_of_every_task():
     """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 0.01, 1
-    and 0.99; V-A: 1000 steps.
+    and 0.99; V-A: 1000 steps. D5, D10: discount, GAE's lambda, PPO's clip range and the scale are
+    the lab's.
     """
     cfg = eipo.Config()
     assert (cfg.hidden, cfg.hidden_estimator) == ((512, 256, 128), (256, 128))
     assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
     assert (cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (0.01, 1, 0.99)
-    assert evaluate.EPISODE_STEPS == 1000
-
-
-def test_what_is_not_printed_is_the_lab_s():
-    """D5: the discount, GAE's lambda, PPO's clip range, and a control step in s as scale (D10)."""
-    cfg = eipo.Config()
     assert (cfg.gamma, cfg.gae_lambda, cfg.clip_eps, cfg.reward_scale) == (0.99, 0.95, 0.2, 0.02)
+    assert evaluate.EPISODE_STEPS == 1000
 
 
 def test_paper_settings_of_curriculum():
@@ -107,14 +103,10 @@ def test_what_is_typed_is_read():
     [
         ("--lam 0", "lam is 0"),
         ("--lam nan", "lam is nan"),
-        ("--lam inf", "lam is inf"),
-        ("--gamma nan", "gamma is nan"),
         ("--gamma 1.5", "gamma is 1.5: it must be from 0 to 1"),
         ("--momentum-alpha 1.5", "momentum_alpha is 1.5"),
-        ("--lr-alpha nan", "lr_alpha is nan"),
         ("--clip-eps -0.1", "clip_eps is -0.1: it must be above 0"),
         ("--timestep 0", "timestep is 0.0"),
-        ("--clock-hz nan", "clock_hz is nan"),
         ("--friction -1 1", "friction is (-1.0, 1.0): it must be 0 or more"),
         ("--payload -9 0", "payload is (-9.0, 0.0)"),
         ("--com 0 inf", "com is (0.0, inf): it must be finite"),
@@ -125,7 +117,6 @@ def test_what_is_typed_is_read():
         ("--num-envs 3", "multiple of 2"),
         ("--num-envs 2 --num-steps 1 --num-minibatches 2", "num_minibatches"),
         ("--friction 1.25 0.5", "friction is (1.25, 0.5)"),
-        ("--roughness nan 0.15", "roughness is (nan, 0.15)"),
     ],
 )
 def test_silent_nonsense_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, given, says):
@@ -134,16 +125,7 @@ def test_silent_nonsense_is_one_line_and_leaves_nothing_behind(tmp_path, capsys,
 
 
 @pytest.mark.parametrize(
-    "given",
-    [
-        "--num-envs many",
-        "--speed 3",
-        "--iter 2",
-        "--task moon",
-        "--friction 1",
-        "--hidden 8 0",
-        "--latency -1",
-    ],
+    "given", ["--num-envs many", "--iter 2", "--friction 1", "--hidden 8 0", "--latency -1"]
 )
 def test_flags_that_do_not_parse_are_one_line(capsys, given):
     with pytest.raises(SystemExit, match="2"):

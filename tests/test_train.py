@@ -370,6 +370,13 @@ def test_threads_of_jax_are_those_of_the_start(monkeypatch, capsys, began_with, 
     assert says in said and bool(says) == bool(said)
 
 
+def test_products_are_not_ynnpack_s():
+    """XLA takes none from a library that was seen to get them wrong (runtime/jax_setup.py)."""
+    x = np.ones((64, 64), np.float32)
+    text = jax.jit(lambda x: x @ x).lower(x).compile().as_text()
+    assert "dot(" in text and "__ynn_fusion" not in text
+
+
 # ---- the numbers of a run ----
 
 

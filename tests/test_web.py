@@ -16,16 +16,6 @@ import play
 SECONDS = 90  # in which the page must have been there; on an idle core it takes 5
 
 
-def wait_for(happens):
-    """What happens() returns once it is true. Fails after SECONDS."""
-    end = time.monotonic() + SECONDS
-    while time.monotonic() < end:
-        if what := happens():
-            return what
-        time.sleep(0.5)
-    raise AssertionError(f"{happens} did not happen in {SECONDS} s")
-
-
 def answers(port):
     try:
         with urlopen(f"http://127.0.0.1:{port}/", timeout=5) as page:
@@ -45,7 +35,10 @@ def test_only_this_machine_may_look(tmp_path):
     with open(tmp_path / "said", "w") as said, heard():
         process = subprocess.Popen([sys.executable, *argv], cwd=ROOT, stdout=said, stderr=said)
     try:
-        wait_for(lambda: answers(port))
+        late = time.monotonic() + SECONDS
+        while not answers(port):
+            assert time.monotonic() < late
+            time.sleep(0.5)
         table = Path("/proc/net/tcp").read_text()
         listening = [line.split()[1] for line in table.splitlines() if f":{port:04X} " in line]
         assert {address.split(":")[0] for address in listening} == {"0100007F"}

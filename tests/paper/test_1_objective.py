@@ -206,12 +206,6 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
     assert normalised[0].mean() == 0
 
 
-def test_algorithm1_line12_estimate_J_is_the_task_alone():
-    """Targets of task and cost are (1, 64) and (3, 64): J = (1 + 3) / 2 = 2."""
-    target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    assert eipo.estimate_J(Estimate(None, target)) == 2
-
-
 @pytest.mark.parametrize(("task", "cost", "share"), [(6, 1, 0.75), (1, 0.25, 2 / 3), (1, 0, 1)])
 def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
     """A_r = +-1 and A_f = +-2:
@@ -231,29 +225,21 @@ def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
 # ---- L13: the multiplier ----
 
 
-def alphas(gaps, cfg=PAPER, start=200.0):
-    """alpha at the start and after each step of line 13, and the last Dual."""
-    duals = [Dual(start, 0.0)]
-    for gap in gaps:
-        duals.append(eipo.step_alpha(duals[-1], gap, cfg))
-    return np.array([dual.alpha for dual in duals]), duals[-1]
-
-
 def test_algorithm1_line13_alpha_momentum():
-    """eta 0.01, clip 1, momentum 0.99. pi lags by 2, lags by 1, leads by 1/2:
+    """eta 0.01, clip 1, momentum 0.99. pi lags by 2, lags by 1, leads by 1/2, leads by 64:
 
-    gap      gradient       momentum                     alpha
-    -2       clip(2) = 1    1                            200 + 0.01          = 200.01
-    -1       1              0.99 + 1        = 1.99       200.01 + 0.0199     = 200.0299
-    1/2      -1/2           1.9701 - 0.5    = 1.4701     200.0299 + 0.014701 = 200.044601
+    gap      gradient         momentum                         alpha
+    -2       clip(2) = 1      1                                200 + 0.01            = 200.01
+    -1       1                0.99 + 1           = 1.99        200.01 + 0.0199       = 200.0299
+    1/2      -1/2             1.9701 - 0.5       = 1.4701      200.0299 + 0.014701   = 200.044601
+    64       clip(-64) = -1   1.455399 - 1       = 0.455399    200.044601 + 0.00455399
     """
-    assert alphas((-2, -1, 0.5))[0] == pytest.approx([200, 200.01, 200.0299, 200.044601], rel=1e-12)
-
-
-@pytest.mark.parametrize(("gap", "momentum"), [(64.0, -1), (-64.0, 1)])
-def test_algorithm1_line13_alpha_gradient_is_clipped_both_ways(gap, momentum):
-    """However far pi is ahead or behind, the gradient is -1 or 1."""
-    assert eipo.step_alpha(Dual(200.0, 0.0), gap, PAPER).momentum == momentum
+    dual, alphas = Dual(200.0, 0.0), []
+    for gap in (-2, -1, 0.5, 64):
+        dual = eipo.step_alpha(dual, gap, PAPER)
+        alphas.append(dual.alpha)
+    expected = [200.01, 200.0299, 200.044601, 200.04915499]
+    assert alphas == pytest.approx(expected, rel=1e-12)
 
 
 def test_algorithm1_line13_alpha_stays_above_zero_and_loses_its_momentum_there():
@@ -271,10 +257,3 @@ def test_algorithm1_line13_alpha_stays_above_zero_and_loses_its_momentum_there()
 def test_algorithm1_line13_alpha_stays_where_it_is_when_the_gap_is_not_finite(gap):
     """nan > 0 is false: without care one bad reward would switch the task off."""
     assert eipo.step_alpha(Dual(200.0, 1.0), gap, PAPER) == Dual(200.0, 1.0)
-
-
-def test_algorithm1_line13_alpha_moves_by_one_per_iteration_in_the_limit():
-    """The momentum comes to 1 / (1 - 0.99) = 100, so alpha gains at most 0.01 * 100 = 1."""
-    gains = np.diff(alphas([-1000.0] * 2000)[0])
-    assert gains.max() < 1.000001
-    assert gains[-1] == pytest.approx(1)

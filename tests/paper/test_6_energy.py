@@ -163,36 +163,6 @@ def test_eq11_takes_the_mean_of_the_physics_steps():
 
 # ---- D17: torque times the mean speed of a physics step ----
 
-HINGE = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody><body>
-  <joint name="hinge" type="hinge" axis="0 1 0" armature="0.5"/>
-  <geom size="0.1" mass="0" contype="0"/>
-  <inertial pos="0 0 0" mass="1" diaginertia="0.5 0.5 0.5"/></body></worldbody>
-  <actuator><motor joint="hinge"/></actuator></mujoco>"""
-
-
-@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
-def test_work_on_a_joint_is_the_kinetic_energy_that_it_gains(integrator):
-    """D17. An inertia of 1/2 + 1/2 = 1 kg m^2 under 8 N m for 25 steps of 5 ms gains
-
-    speed:               8 * 1/8                       = 1 rad/s
-    energy:              1^2 / 2                       = 0.5 J
-
-    The mean speed of step k is (k + 1/2) / 25, that before it k / 25:
-
-    work by the mean:    0.04 * (1/2 + ... + 49/2) / 25 = 0.5 J
-    work by that before: 0.04 * (0 + ... + 24) / 25     = 0.48 J
-    """
-    model = mujoco.MjModel.from_xml_string(HINGE.replace("implicitfast", integrator))
-    robot, before, mean = mujoco.MjData(model), 0.0, 0.0
-    robot.ctrl[:] = 8.0
-    for _ in range(25):
-        speed = robot.qvel.copy()
-        mujoco.mj_step(model, robot)
-        before += 0.005 * energy.mechanical_power(robot.ctrl, speed, "power")
-        mean += 0.005 * energy.mechanical_power(robot.ctrl, (speed + robot.qvel) / 2, "power")
-    assert robot.qvel[0] == pytest.approx(1, abs=1e-12)
-    assert (mean, before) == pytest.approx((0.5, 0.48), abs=1e-12)
-
 
 def random_targets():
     """The nominal pose at rest, qpos and qvel, and random joint targets for 50 control steps."""

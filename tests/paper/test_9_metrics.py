@@ -10,7 +10,6 @@ import pytest
 from support import frames
 
 import evaluate
-import policy
 import tasks
 from results import figures
 
@@ -83,14 +82,6 @@ def test_energy_per_metre_needs_robots_that_move_ahead(v_x, energy):
 def test_peak_velocity_is_of_the_first_episode(episodes):
     """D18. Robot 0 reaches 20 m/s in its last step; what robot 1 does after its fall is not its."""
     assert episodes.peak.tolist() == [20.0, 2.0, 3 / 64]
-
-
-def test_the_policy_that_is_measured_has_no_noise():
-    """D42. The mean, 4 (3 obs) = 12 and 24, the same every time."""
-    layer = lambda *rows: [(np.array(rows, np.float32), np.zeros(1, np.float32))]  # noqa: E731
-    pi = policy.Policy(layer([0.0], [4.0]), layer([3.0]), *[None] * 6)
-    obs = np.array([[1.0], [2.0]], np.float32)
-    assert pi.mean(obs).tolist() == pi.mean(obs).tolist() == [[12.0], [24.0]]
 
 
 def test_the_world_that_is_measured():
