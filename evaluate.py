@@ -37,8 +37,6 @@ class Episodes(NamedTuple):
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
     peak: np.ndarray  # [m/s] largest speed ahead
-    pitch: np.ndarray  # [degrees] mean pitch of the trunk, positive with the nose up
-    roll: np.ndarray  # [degrees] mean roll of the trunk, positive with the right side down
 
 
 # ---- a policy and a world to try it in ----
@@ -101,11 +99,11 @@ def run_episodes(policy, env):
     Arguments are those of `play_episode`.
     """
     rows = [
-        (reward, *(log[name] for name in ("v_x", "power", "pitch", "roll")), alive, falls)
+        (reward, *(log[name] for name in ("v_x", "power")), alive, falls)
         for reward, log, alive, falls in play_episode(policy, env)
     ]
     *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
-    reward, v_x, power, pitch, roll = (np.where(alive, x, 0.0) for x in series)
+    reward, v_x, power = (np.where(alive, x, 0.0) for x in series)
     length = alive.sum(0)
     episodes = Episodes(
         performance=reward.sum(0) / len(alive),
@@ -113,8 +111,6 @@ def run_episodes(policy, env):
         v_x=v_x.sum(0) / length,
         power=power.sum(0) / length,
         peak=np.where(alive, v_x, -np.inf).max(0),
-        pitch=pitch.sum(0) / length,
-        roll=roll.sum(0) / length,
     )
     return episodes, np.where(alive, v_x, np.nan)
 
@@ -179,7 +175,7 @@ def interval(x, statistic=np.mean, **options):
 def evaluate(folder, args):
     """Play episodes of a run, and return what `main` prints of it: numbers by name.
 
-    The 95 % interval is of performance; the others have the units of `numbers` and of Episodes.
+    The 95 % interval is of performance.
     """
     pi, env_cfg = load(folder, args.clip, prime=args.prime)
     commands = commands_of(env_cfg.task)
@@ -187,8 +183,7 @@ def evaluate(folder, args):
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
     row = dict(episodes=len(asked)) | {"95 % from": low, "to": high}
-    row |= numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
-    return row | dict(pitch=np.abs(played.pitch).mean(), roll=np.abs(played.roll).mean())
+    return row | numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
 
 
 @command("evaluate.py")

@@ -103,12 +103,6 @@ def felt_gravity(to_world, gravity):
     return np.einsum("nij,ni->nj", to_world, down)
 
 
-def attitude(to_world):
-    """Pitch and roll (2, N) [degrees], positive with the nose up, the right side down."""
-    x, y, z = to_world[:, 2].T  # the vertical in the trunk's frame
-    return np.degrees([np.arctan2(x, np.hypot(y, z)), np.arctan2(y, z)])
-
-
 def leg_points(q):
     """The centres (..., 8, 3) [m] of each leg's knee and foot, where it may touch the ground first.
 

@@ -275,10 +275,9 @@ class Go1Env:
         )
 
     def _log(self, motion, power, task_reward):
-        """Numbers (N,) that tell how training goes: degrees, m/s, W, and shares of 1."""
-        pitch, roll = go1.attitude(motion.to_world)
+        """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
         command_x = self.state.command[:, 0].copy()
-        log = dict(pitch=pitch, roll=roll, v_x=motion.heading[:, 0], power=power)
+        log = dict(v_x=motion.heading[:, 0], power=power)
         log |= dict(command_x=command_x)
         if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=task_reward)

@@ -1,8 +1,7 @@
 """Look at a policy: `python play.py RUN` opens MuJoCo's viewer.
 
 Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture, of
-several runs side by side. With --follow the robot gets every new policy that a run saves while it
-trains. Legs of one colour are diagonal, so they move together in a trot.
+several runs side by side. Legs of one colour are diagonal, so they move together in a trot.
 
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
@@ -25,7 +24,7 @@ import numpy as np
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.command import Parser, command, finite, positive
+from runtime.command import Parser, command, finite
 
 
 def make_env(env_cfg, asked):
@@ -37,22 +36,15 @@ def make_env(env_cfg, asked):
     return go1_env.Go1Env(1, replace(env_cfg, **changes), commands=tasks.Given(asked[None]))
 
 
-def play(env, pi, seed=0, follow=None):
+def play(env, pi, seed=0):
     """Let a Policy drive the robot for ever. Yields the log of each control step.
 
-    seed:    of friction, payload, heading and ground under the robot
-    follow:  path of a policy.npz; its policy takes over whenever training has written a new one
+    seed: of friction, payload, heading and ground under the robot
     """
     obs, _ = env.reset(seed)
-    written = follow and follow.stat().st_mtime_ns
     while True:
         obs, _, _, _, info = env.step(pi.mean(obs))
         yield info["log"]
-        if follow and (now := follow.stat().st_mtime_ns) != written:
-            written, (pi, _) = now, run_folder.load_policy(follow)
-
-
-# ---- the command ----
 
 
 def parse(argv):
@@ -64,27 +56,27 @@ def parse(argv):
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
-    add("--seconds", type=positive, default=1.0, help="of the robot's time in a GIF (default: 1)")
+    add("--seconds", type=finite, default=1.0, help="of the robot's time in a GIF (default: 1)")
     asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=finite)
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
-    add("--slow", type=positive, help="times slower than real (default: 1, of a GIF 4)")
-    add("--follow", action="store_true", help="load every new policy while training runs")
+    add("--slow", type=finite, help="times slower than real (default: 1, of a GIF 4)")
     args = parser.parse_args(argv)
     if len(args.runs) > 1 and not args.gif:
         parser.error("a window or a browser shows one run: give --gif FILE for several")
     if not 0 <= args.port < 2**16:
         parser.error(f"--port is {args.port}: it must be from 0 to 65535")
+    if args.seconds <= 0 or (args.slow or 1) <= 0:
+        parser.error("--seconds and --slow must be above 0")
     return args
 
 
 def begin(run, args):
     """The environment of a run, the iterator of `play` over it, and its command."""
-    path = Path(run) / "policy.npz"
-    pi, env_cfg = run_folder.load_policy(path)
+    pi, env_cfg = run_folder.load_policy(Path(run) / "policy.npz")
     example = tasks.TASKS[env_cfg.task].commands().example
     asked = np.array(args.command or example, float)
     env = make_env(env_cfg, asked)
-    return env, play(env, pi, args.seed, path if args.follow else None), asked
+    return env, play(env, pi, args.seed), asked
 
 
 def draw(args, slow):

@@ -1,7 +1,6 @@
 """`python -m results NAME ...`: figures and tables of trained robots. NAME is one of
 
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff, as PNG and CSV in --out
-    footfalls FOLDER   which foot of a policy.npz is on the ground when, a robot each --command
     table     RUN...   a line for each kind of run
     claims             the paper's claims of runs in --results, each with a verdict by rule
     add       FOLDER   play the policies of run folders, for the tables of --results
@@ -22,7 +21,7 @@ from results import runs as record
 from runtime.command import Parser, command
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff"
-OTHERS = "footfalls", "table", "claims", "add"
+OTHERS = "table", "claims", "add"
 
 
 @command("results")
@@ -35,20 +34,15 @@ def main(argv):
     add("--out", type=Path, default=Path(), help="folder for PNG and CSV")
     add("--results", type=Path, default=record.RESULTS, help="folder of the tables")
     add("--episodes", type=int, help="to play, per policy and kind of start")
-    add("--command", type=float, nargs="+", default=[0.3, 0.6, 1.0], help="m/s of v_x")
     args = parser.parse_args(argv)
     if not args.what and args.name != "claims":
         parser.error(f"{args.name} takes at least one argument")
-    if args.name == "footfalls" and len(args.what) > 1:
-        parser.error("footfalls takes one folder")
     if args.name == "add":
         record.add(args.what, args.results, args.episodes)
     elif args.name == "table":
         print(*claims.table(record.runs(args.what)), sep="\n")
     elif args.name == "claims":
         print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
-    elif args.name == "footfalls":
-        figures.save(args.out, args.name, figures.footfalls(args.what[0], args.command))
     else:
         rows, figure = getattr(figures, args.name)(record.runs(args.what))
         figures.save(args.out, args.name, figure, rows)

@@ -8,7 +8,6 @@ less than 95 %.
 """
 
 import re
-from itertools import islice
 
 import numpy as np
 from matplotlib import colormaps
@@ -16,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 import evaluate
-import go1
 from results import runs as record
 from results.runs import KINDS, LAMBDAS, by_kind
 
@@ -277,44 +275,3 @@ def tradeoff(runs):
         axes.grid(alpha=0.3)
         axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=7)
     return rows, figure
-
-
-# ---- footfalls: which foot is on the ground when ----
-
-SETTLE, SHOWN = 4.0, 1.5  # s: before anything is recorded, and recorded
-
-
-def contacts_of(policy, env):
-    """Contacts of the feet FR, FL, RR, RL (T, N, 4) bool after T control steps, and mean speeds
-    (N,) [m/s]. Recording begins when SETTLE has passed.
-
-    Arguments are those of `evaluate.play_episode`.
-    """
-    first, last = (round(time / env.period) for time in (SETTLE, SETTLE + SHOWN))
-    steps = islice(evaluate.play_episode(policy, env), first, last)
-    seen = [(env.contacts[:, go1.FEET] > 0, log["v_x"]) for _, log, _, _ in steps]
-    contacts, speeds = map(np.array, zip(*seen, strict=True))
-    return contacts, speeds.mean(0)
-
-
-def footfalls(folder, speeds):
-    """Where the feet of a folder's robots touch the ground, which began in the nominal pose.
-
-    speeds: [m/s] ahead, asked for, a robot each; a task that asks for nothing has one robot
-    """
-    pi, env_cfg = evaluate.load(folder, nominal=True)
-    asks = len(evaluate.commands_of(env_cfg.task)) > 1
-    speeds = speeds if asks else [0.0]
-    env = evaluate.make_env(env_cfg, np.outer(speeds, [1.0, 0.0, 0.0]))
-    contacts, reached = contacts_of(pi.mean, env)
-    figure = Figure(figsize=(6, 1.3 * len(speeds) + 0.4), layout="constrained")
-    panels = figure.subplots(len(speeds), 1, sharex=True, squeeze=False)[:, 0]
-    for i, axes in enumerate(panels):
-        asked = f"asked for {speeds[i]:g} m/s, " if asks else ""
-        place = dict(extent=(0, SHOWN, 3.5, -0.5), aspect="auto", interpolation="nearest")
-        axes.imshow(contacts[:, i].T, cmap="Blues", vmin=0, vmax=1.3, **place)
-        title = f"{asked}moves at {reached[i]:.2f} m/s"
-        axes.set(yticks=range(4), yticklabels=go1.LEGS, title=title)
-        axes.hlines((0.5, 1.5, 2.5), 0, SHOWN, color="white", linewidth=4)
-    panels[-1].set_xlabel("time [s]")
-    return figure

@@ -69,5 +69,5 @@ def load(path, template, envs):
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
             prefix = f"process{process}.env{i}."
-            restore_env(env, {name: arrays[prefix + name] for name in saved(env)})
+            restore_env(env, {x: arrays[prefix + x] for x in (*vars(env.state), "rng")})
     return state

@@ -30,13 +30,6 @@ def finite(text):
     return x
 
 
-def positive(text):
-    """A finite number above 0 from the command line."""
-    if (x := finite(text)) <= 0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return x
-
-
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
     from_jax_or_mujoco = "RESOURCE_EXHAUSTED", "Caught an unknown exception"

@@ -18,7 +18,7 @@ from support import ROOT, error_of, make_run
 import play
 import tasks
 import terrain
-from runtime import run_folder, viewer
+from runtime import viewer
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
 if not play.has_display:
@@ -117,22 +117,6 @@ def test_the_ground_is_the_runs_roughest(task, height):
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
     assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
-
-
-@pytest.mark.parametrize("follow, then", [(True, 1.5), (False, 0.5)])
-def test_follow_takes_a_new_policy_and_nothing_else_does(tmp_path, follow, then):
-    """The first policy answers 0.5 to everything, the one that replaces it 1.5."""
-    path = make_run(tmp_path, "flat", action=0.5) / "policy.npz"
-    pi, env_cfg = run_folder.load_policy(path)
-    env, seen = play.make_env(env_cfg, np.zeros(3)), []
-    steps = play.play(env, pi, follow=path if follow else None)
-    for i, _ in enumerate(itertools.islice(steps, 4)):
-        seen.append(np.unique(env.state.action).tolist())
-        if i == 1:
-            make_run(tmp_path, "flat", action=1.5)
-            later = path.stat().st_mtime + 1  # the clock of a file system may be coarse
-            os.utime(path, (later, later))
-    assert seen == [[0.5], [0.5], [then], [then]]
 
 
 # ---- the window ----

@@ -268,23 +268,6 @@ def test_a_committed_picture_comes_from_the_committed_tables(tmp_path):
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
 
 
-# ---- footfalls ----
-
-
-def test_feet_of_a_trot():
-    """The policy of flat ground trots: a front foot and the hind foot across are more often
-    together on the ground or in the air than two feet of one side.
-    """
-    pi, env_cfg = evaluate.load(RESULTS / "flat", nominal=True)
-    env = evaluate.make_env(env_cfg, [[0.6, 0, 0], [1, 0, 0]])
-    contacts, speed = figures.contacts_of(pi.mean, env)
-    assert contacts.shape == (figures.SHOWN / env.period, 2, 4)
-    alike = lambda a, b: (contacts[..., a] == contacts[..., b]).mean()  # noqa: E731
-    fr, fl, rr, rl = range(4)
-    assert min(alike(fr, rl), alike(fl, rr)) > 0.6 > 0.5 > max(alike(fr, rr), alike(fl, rl))
-    assert speed.min() > 0.5
-
-
 # ---- what goes wrong ----
 
 
@@ -308,9 +291,7 @@ def test_a_damaged_table_is_one_line(tmp_path, capsys):
     assert "episodes.csv.gz is damaged" in error_of(capsys, main, "table", tmp_path / "flat-*")
 
 
-@pytest.mark.parametrize(
-    "argv", [["fig7"], ["fig2"], ["fig2", "a", "--moon"], ["footfalls", "a", "b"]]
-)
+@pytest.mark.parametrize("argv", [["fig7"], ["fig2"], ["fig2", "a", "--moon"]])
 def test_a_wrong_command_line_is_one_line(argv, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(argv)

@@ -163,15 +163,6 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
     assert info["log"]["v_x"] == pytest.approx([1.0], abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("turn", "expected"), [(("Y", -30), (30, 0)), (("X", 20), (0, 20)), (("Z", 50), (0, 0))]
-)
-def test_attitude(turn, expected):
-    """Degrees. The nose goes up in a turn about -y, the right side down in one about x."""
-    to_world = Rotation.from_euler(*turn, degrees=True).as_matrix()[None]
-    assert go1.attitude(to_world)[:, 0] == pytest.approx(expected, abs=1e-9)
-
-
 # ---- V-E: the shaped reward of reference [5] ----
 
 
