@@ -1,6 +1,6 @@
 """`python -m results NAME ...`: figures and tables of trained robots. NAME is one of
 
-    a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff, as PNG and CSV in --out
+    a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff alpha, as PNG and CSV in --out
     table     RUN...   a line for each kind of run
     claims             the paper's claims of runs in --results, each with a verdict by rule
     add       FOLDER   play the policies of run folders, for the tables of --results
@@ -20,7 +20,7 @@ from results import claims, figures
 from results import runs as record
 from runtime.command import Parser, command
 
-FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff"
+FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
 OTHERS = "table", "claims", "add"
 
 

@@ -12,7 +12,7 @@ from scipy import optimize, stats
 import evaluate
 from results import runs as record
 from results.figures import TABLE1
-from results.runs import KINDS, by_kind
+from results.runs import KINDS, by_group, task_of
 from runtime.command import Refused
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
@@ -54,7 +54,7 @@ CLAIMS = [
 ]
 
 
-def promise(arms):
+def promise(task, kinds):
     """Claims of the promise of Eq. (3), in the form of CLAIMS: pi does the task as well as pi', on
     the least energy.
 
@@ -62,34 +62,35 @@ def promise(arms):
     last in power alone, of EIPO and each PPO that no row of CLAIMS compares.
     """
     known = {(task, *sides) for _, task, name, _, *sides, _ in CLAIMS if name == "power"}
-    for task, kinds in arms.items():
-        pairs = [(kind, f"pi' of {kind}") for kind in kinds if kind.startswith("EIPO")]
-        score = "peak" if task == "velocity" else "performance"
-        for left, right in [*pairs, ("pi' of EIPO", "PPO(0)")]:
-            yield "(3)", task, score, ALL, left, right, "no worse"
-            yield "(3)", task, "power", ALL, left, right, "<"
-        for ppo in PPO:
-            if (task, "EIPO", ppo) not in known:
-                yield "(3)", task, "power", ALL, "EIPO", ppo, "<"
+    pairs = [(kind, f"pi' of {kind}") for kind in kinds if kind.startswith("EIPO")]
+    score = "peak" if task == "velocity" else "performance"
+    for left, right in [*pairs, ("pi' of EIPO", "PPO(0)")]:
+        yield "(3)", task, score, ALL, left, right, "no worse"
+        yield "(3)", task, "power", ALL, left, right, "<"
+    for ppo in PPO:
+        if (task, "EIPO", ppo) not in known:
+            yield "(3)", task, "power", ALL, "EIPO", ppo, "<"
 
 
 def counted(results=record.RESULTS):
-    """The runs that count, by task and kind: {task: {kind: [Run, ...]}}. "pi' of EIPO" is a kind.
+    """The runs that count, by group and kind, in which "pi' of EIPO" is a kind, too. Of the groups
+    of a task the one with the longest runs comes first.
 
-    Refused if those of a task are of several commits, or if there are none at all.
+    Refused if those of a group are of several commits, or if there are none at all.
     """
-    arms = {}
-    for task in TASKS:
-        place = results / task
+    found = {}
+    for place in (results / task for task in TASKS):
         runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
         runs = [run for run in runs if run.settings["seed"] in SEEDS]
-        commits = {commit for run in runs for commit in record.commits(run.row)}
+        runs.sort(key=lambda run: -run.settings["iterations"])
+        found |= by_group(runs)
+    for kinds in found.values():
+        commits = {x for arm in kinds.values() for run in arm for x in record.commits(run.row)}
         if len(commits) > 1:
             raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
-        arms[task] = record.with_primes(by_kind(runs, task)) if runs else {}
-    if not any(arms.values()):
+    if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
-    return arms
+    return {group: record.with_primes(kinds) for group, kinds in found.items()}
 
 
 # ---- two arms by one number of each seed ----
@@ -183,18 +184,23 @@ def at_every_command(sides, name, claimed):
 # ---- rows ----
 
 
-def claim_lines(arms):
-    """Yields the claims, and the promise, that are tested as rows of Markdown.
-
-    arms: of `counted`
-    """
+def claim_lines(groups):
+    """Yields the claims, and the promise, that are tested as rows of Markdown; groups: `counted`"""
     yield "| no. | what | claimed | seeds | means | difference [95 %] | verdict |"
     yield "|---" * 7 + "|"
-    for number, task, name, commands, left, right, claimed in [*CLAIMS, *promise(arms)]:
+    for group, kinds in groups.items():
+        yield from group_lines(group, kinds)
+
+
+def group_lines(group, kinds):
+    """Those of one group, without the head of the table."""
+    task = task_of(group)
+    claims = [claim for claim in CLAIMS if claim[1] == task]
+    for number, _, name, commands, left, right, claimed in [*claims, *promise(task, kinds)]:
         where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
         where = "" if commands == ALL else where
-        what = f"{task}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
-        sides = paired(arms[task], left, right)
+        what = f"{group}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
+        sides = paired(kinds, left, right)
         if commands == EVERY:
             compared, word = None, at_every_command(sides, name, claimed)
         else:
@@ -229,12 +235,12 @@ def table(runs):
 
     The score is the peak [m/s] on velocity, and elsewhere task performance.
     """
-    for task in dict.fromkeys(run.settings["task"] for run in runs):
-        score = "peak" if task == "velocity" else "performance"
+    for group, kinds in by_group(runs).items():
+        score = "peak" if task_of(group) == "velocity" else "performance"
         names = "seeds", f"{score}: mean; each seed", "fell", "from nominal"
-        yield f"| {' | '.join((task, *names, 'power', 'energy', 'last alpha'))} |"
+        yield f"| {' | '.join((group, *names, 'power', 'energy', 'last alpha'))} |"
         yield "|---" * 8 + "|"
-        for kind, seeds in by_kind(runs, task).items():
+        for kind, seeds in kinds.items():
             rows = [record.scores(run) for run in seeds]
             mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
             each = ", ".join(f"{row[score]:.3f}" for row in rows)

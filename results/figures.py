@@ -16,7 +16,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 import evaluate
 from results import runs as record
-from results.runs import KINDS, LAMBDAS, by_kind
+from results.runs import KINDS, LAMBDAS, by_group, task_of
+from runtime.command import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
@@ -77,12 +78,23 @@ def summarise(name, by_seed, statistic=np.mean):
     return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}
 
 
-def by_command(runs, task, commands, columns, statistic=np.mean):
+def only_group(runs, task):
+    """The one group of runs of a task, and its kinds. Refused if there are several, or none."""
+    groups = by_group(runs, task)
+    if len(groups) > 1:
+        raise Refused(f"this figure takes runs of one length, not {' and '.join(groups)}")
+    (found,) = groups.items()
+    return found
+
+
+def by_command(group, kinds, commands, columns, statistic=np.mean):
     """Rows of a CSV: for each kind of run and each command (n, 3), a statistic of some columns of
     Episodes from random starts, with its intervals. "energy" is energy per metre.
+
+    group, kinds: of `runs.by_group`
     """
     rows = []
-    for name, seeds in by_kind(runs, task).items():
+    for name, seeds in kinds.items():
         for command in commands:
             each = [
                 record.where(np.isclose([e[x] for x in record.ASKED], command[:, None]).all(0), e)
@@ -90,7 +102,7 @@ def by_command(runs, task, commands, columns, statistic=np.mean):
             ]
             n = min(len(e["fell"]) for e in each)  # so that every seed counts as much
             each = [{column: x[:n] for column, x in e.items()} for e in each]
-            row = dict(task=task, run=name, v_x_asked=command[0], yaw_asked=command[2])
+            row = dict(group=group, run=name, v_x_asked=command[0], yaw_asked=command[2])
             row |= dict(seeds=len(seeds), episodes=n, fell=np.mean([e["fell"] for e in each]))
             for column in columns:
                 names = ("power", "v_x") if column == "energy" else (column,)
@@ -141,16 +153,16 @@ def draw_lines(axes, rows, column):
 
 
 def over_commands(runs, tasks, columns):
-    """Rows and a Figure of some columns by command, a panel for each task and column."""
+    """Rows and a Figure of some columns by command, a panel for each group of runs and column."""
     rows = []
-    for task in tasks:
-        rows += by_command(runs, task, evaluate.commands_of(task), columns)
-    figure, panels = panels_by("task", rows, len(columns))
-    for task, mine, all_axes in panels:
+    for group, kinds in by_group(runs, *tasks).items():
+        rows += by_command(group, kinds, evaluate.commands_of(task_of(group)), columns)
+    figure, panels = panels_by("group", rows, len(columns))
+    for group, mine, all_axes in panels:
         for axes, column in zip(all_axes, columns, strict=True):
             draw_lines(axes, mine, column)
             axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column], xlim=(0, 1))
-        all_axes[0].set_ylim(bottom=BOTTOM[task])
+        all_axes[0].set_ylim(bottom=BOTTOM[task_of(group)])
         if "energy" in columns:  # a robot that is asked to stand spends much per metre
             log_axis(all_axes[1])
         place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
@@ -175,7 +187,7 @@ def fig4(runs):
 
 def fig5(runs):
     """Task performance and power over commands of v_x and yaw rate. Section V-E."""
-    rows = by_command(runs, "curriculum", record.GRID, ("performance", "power"))
+    rows = by_command(*only_group(runs, "curriculum"), record.GRID, ("performance", "power"))
     figure, panels = panels_by("run", rows, 2)
     v_x, yaw = record.GRID[::11, 0], record.GRID[:11, 2]
     for i, column in enumerate(("performance", "power")):
@@ -201,14 +213,15 @@ def fig6(runs):
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
-    for name, seeds in by_kind([run for run in runs if run.speed], "velocity").items():
+    group, kinds = only_group([run for run in runs if run.speed], "velocity")
+    for name, seeds in kinds.items():
         time = seeds[0].speed["time"]
         speeds = {run.name: run.speed["v_x"] for run in seeds}
         speeds["mean"] = np.mean(list(speeds.values()), 0)
         color = style(name)["color"]
         for seed, v_x in speeds.items():
             axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
-            about = dict(task="velocity", kind=name, run=seed)
+            about = dict(group=group, kind=name, run=seed)
             rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
         axes.plot(time, v_x, color=color, linewidth=2, label=f"{name}, n = {len(seeds)}")
     for name, peak in HARDWARE.items():
@@ -226,7 +239,8 @@ def table1(runs):
     Interquartile means over the episodes of all seeds (D26).
     """
     columns = "peak", "v_x", "power", "energy"
-    rows = by_command(runs, "velocity", np.zeros((1, 3)), columns, evaluate.iqm)
+    group, kinds = only_group(runs, "velocity")
+    rows = by_command(group, kinds, np.zeros((1, 3)), columns, evaluate.iqm)
     for row in rows:
         row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)
     at = np.arange(len(rows))[::-1]
@@ -246,6 +260,9 @@ def table1(runs):
     return rows, figure
 
 
+# ---- what alpha does ----
+
+
 def tradeoff(runs):
     """Power over the score, a small dot for each run and a large one for each kind.
 
@@ -253,11 +270,13 @@ def tradeoff(runs):
     peak.
     """
     rows = []
-    tasks = dict.fromkeys(run.settings["task"] for run in runs)
-    figure = Figure(figsize=(6.5, 3.8 * len(tasks)), layout="constrained")
-    for task, axes in zip(tasks, figure.subplots(len(tasks), 1, squeeze=False)[:, 0], strict=True):
-        score = "peak" if task == "velocity" else "performance"
-        for name, arm in record.with_primes(by_kind(runs, task)).items():
+    groups = by_group(runs)
+    one_task = len(set(map(task_of, groups))) == 1
+    figure = Figure(figsize=(4.5 * len(groups), 5.5), layout="constrained")
+    panels = figure.subplots(1, len(groups), squeeze=False, sharex=one_task, sharey=one_task)[0]
+    for (group, kinds), axes in zip(groups.items(), panels, strict=True):
+        score = "peak" if task_of(group) == "velocity" else "performance"
+        for name, arm in record.with_primes(kinds).items():
             look = style(name.removeprefix("pi' of "))
             look["edgecolors"] = look.pop("color")
             look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
@@ -265,13 +284,51 @@ def tradeoff(runs):
             x, y = (np.array([numbers[key] for numbers in mine]) for key in (score, "power"))
             axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
             axes.scatter(x.mean(), y.mean(), 60, label=f"{name}, n = {len(arm)}", **look)
-            about = dict(task=task, kind=name)
+            about = dict(group=group, kind=name)
             rows += [
                 about | dict(run=run.name, score=a, power=b)
                 for run, a, b in zip(arm, x, y, strict=True)
             ]
-        axes.set(xlabel=LABELS[score], ylabel=LABELS["power"], title=task)
+        axes.set(xlabel=LABELS[score], ylabel=LABELS["power"], title=group)
         log_axis(axes)
         axes.grid(alpha=0.3)
-        axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=7)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
+    return rows, figure
+
+
+def alpha(runs):
+    """alpha over iterations, a line for each run of EIPO. Dotted lines are the 1 / lambda of each
+    kind of PPO, with what it scores and draws: at such an alpha both have one objective.
+    """
+    rows = []
+    groups = by_group(runs)
+    figure = Figure(figsize=(4.5 * len(groups), 3.8), layout="constrained")
+    panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
+    for (group, kinds), axes in zip(groups.items(), panels, strict=True):
+        for name, arm in kinds.items():
+            if not name.startswith("EIPO"):
+                lam = arm[0].settings["lam"]
+                mine = [record.scores(run) for run in arm]
+                score, power = (np.mean([x[key] for x in mine]) for key in ("performance", "power"))
+                if lam:
+                    axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
+                    axes.annotate(
+                        f"{name}: {score:.2f} on {power:.0f} W",
+                        (1, 1 / lam),
+                        xycoords=("axes fraction", "data"),
+                        ha="right",
+                        va="bottom",
+                        fontsize=7,
+                    )
+                continue
+            for run in arm:
+                x, y = (run.metrics[key] for key in ("iteration", "alpha"))
+                label = f"{name}, n = {len(arm)}" if run is arm[0] else None
+                axes.plot(x, y, color=style(name)["color"], linewidth=1, label=label)
+                about = dict(group=group, kind=name, run=run.name)
+                rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
+        axes.set(xlabel="iteration", ylabel="alpha", title=group)
+        log_axis(axes)
+        axes.grid(alpha=0.3)
+        axes.legend(loc="lower right", fontsize=7)
     return rows, figure

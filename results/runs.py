@@ -14,6 +14,7 @@ import csv
 import gzip
 import io
 import json
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import product
 from operator import itemgetter
@@ -157,30 +158,63 @@ def scores(run):
 # ---- kinds of runs: EIPO or PPO(lambda), and whatever else is not usual for the task ----
 
 
+def usual(settings):
+    """The eipo.Config with which runs like this one are expected: that of the task, or with another
+    number of iterations one with the paper's step of alpha.
+    """
+    cfg = eipo.Config(**tasks.TASKS[settings["task"]].learner)
+    if settings["iterations"] == cfg.iterations:
+        return cfg
+    return replace(cfg, iterations=settings["iterations"], lr_alpha=eipo.Config.lr_alpha)
+
+
+def group(settings):
+    """What a run is compared within: its task, and its iterations if they are not the task's."""
+    task, iterations = settings["task"], settings["iterations"]
+    few = eipo.Config(**tasks.TASKS[task].learner).iterations
+    return task if iterations == few else f"{task}, {iterations} iterations"
+
+
+def task_of(group):
+    """The task of a group."""
+    return group.split(",")[0]
+
+
 def kind(settings):
-    """What tables and figures call a run with these settings, {name: setting}."""
-    s = settings
-    usual = eipo.Config(**tasks.TASKS[s["task"]].learner)
+    """What tables and figures call a run with these settings, {name: setting}, in its group."""
+    s, cfg = settings, usual(settings)
     name = f"PPO({s['lam']:g})"
     if s["algo"] == "eipo":
-        name = "EIPO" + f" from {s['lam']:g}" * (s["lam"] != usual.lam)
-        name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != usual.lr_alpha)
+        name = "EIPO" + f" from {s['lam']:g}" * (s["lam"] != cfg.lam)
+        name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != cfg.lr_alpha)
     name += " smooth" * (s["aux"] == "smooth") + " shaped" * (s["reward"] == "shaped")
-    return name + f", {s['num_envs']} robots" * (s["num_envs"] != usual.num_envs)
+    return name + f", {s['num_envs']} robots" * (s["num_envs"] != cfg.num_envs)
 
 
-def by_kind(runs, task):
-    """The runs of one task by kind: {"EIPO": [a Run of each seed, ...], "PPO(0)": ...}.
+def by_group(runs, *of):
+    """Runs by group and kind, {"flat": {"EIPO": [a Run of each seed, ...], "PPO(0)": ...}, ...}.
 
-    Refused if there are none, or if two of one kind differ in more than the seed, or not in it:
-    such runs are no sample of anything.
+    of: the tasks to take, if not all. Refused if one of them has no run.
+    """
+    groups = {}
+    for run in runs:
+        if not of or run.settings["task"] in of:
+            groups.setdefault(group(run.settings), []).append(run)
+    for task in of:
+        if task not in map(task_of, groups):
+            raise Refused(f"none of the runs is of the task {task}")
+    return {name: by_kind(runs) for name, runs in groups.items()}
+
+
+def by_kind(runs):
+    """The runs of one group by kind.
+
+    Refused if two of one kind differ in more than the seed, or not in it: such runs are no sample
+    of anything.
     """
     kinds = {}
     for run in runs:
-        if run.settings["task"] == task:
-            kinds.setdefault(kind(run.settings), []).append(run)
-    if not kinds:
-        raise Refused(f"none of the runs is of the task {task}")
+        kinds.setdefault(kind(run.settings), []).append(run)
     for name, (first, *others) in kinds.items():
         for other in others:
             a, b = first.settings, other.settings
@@ -195,7 +229,7 @@ def by_kind(runs, task):
 
 
 def with_primes(kinds):
-    """Kinds of runs, of `by_kind`, and after each kind of EIPO its "pi' of EIPO ..."."""
+    """Kinds of runs, as in `by_group`, and after each kind of EIPO its "pi' of EIPO ..."."""
     found = {}
     for name, arm in kinds.items():
         found[name] = arm

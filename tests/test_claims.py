@@ -126,7 +126,7 @@ def test_rows_of_the_claims():
     """EIPO performs 0.1 above PPO(0) with every seed, on half of the power, and 0.02 above
     PPO(0.005), which stands. Of rough ground there is nothing, so no row.
     """
-    arms = dict(flat={"EIPO": arm(shift=0.1, power=50), "PPO(0)": arm()}, rough={}, velocity={})
+    arms = dict(flat={"EIPO": arm(shift=0.1, power=50), "PPO(0)": arm()})
     arms["flat"]["PPO(0.005)"] = arm(shift=0.08, v_x=0.01)
     lines = list(claims.claim_lines(arms))
     assert row(lines, 2)[3:] == [
@@ -178,7 +178,7 @@ def test_the_papers_own_difference():
     """EIPO peaks 0.9 m/s above PPO(0) with every seed: the paper's 0.74 lies outside, and 0.9 of
     PPO(0.0001) below PPO(0) is not the paper's 1.55 - 2.12 = -0.57.
     """
-    arms = dict(flat={}, rough={}, velocity={"EIPO": arm("velocity", peak=3.9)})
+    arms = dict(velocity={"EIPO": arm("velocity", peak=3.9)})
     arms["velocity"] |= {"PPO(0)": arm("velocity"), "PPO(0.0001)": arm("velocity", peak=2.1)}
     lines = list(claims.claim_lines(arms))
     assert row(lines, 23, "EIPO - PPO(0) ")[-1] == "holds; the paper's +0.74 is outside"
@@ -231,7 +231,7 @@ def test_the_promise_is_of_pi_and_its_own_pi_prime():
     """
     flat = {"EIPO": arm(shift=-0.01), "pi' of EIPO": arm(power=500), "PPO(0)": arm(power=400)}
     flat["PPO(0.005)"] = arm(power=80)
-    lines = list(claims.claim_lines(dict(flat=flat, rough={}, velocity={})))
+    lines = list(claims.claim_lines(dict(flat=flat)))
     own = row(lines, "(3)", "flat, performance: EIPO - pi'")
     assert own[3:] == ["3", "0.0010 and 0.0110", "-0.0100 [-0.0100, -0.0100]", "holds"]
     own = row(lines, "(3)", "flat, power: EIPO / pi'")

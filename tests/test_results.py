@@ -18,7 +18,7 @@ import tasks
 from results import figures
 from results import runs as record
 from results.__main__ import main
-from results.runs import by_kind, kind
+from results.runs import by_group, kind
 from runtime.command import Refused
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
@@ -87,7 +87,7 @@ def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
 
 def test_fig4_has_a_panel_for_flat_and_for_rough_ground():
     rows, figure = figures.fig4([eight(0), eight(0, task="rough")])
-    assert cells(rows, "task", "run") == [("flat", "EIPO"), ("rough", "EIPO")]
+    assert cells(rows, "group", "run") == [("flat", "EIPO"), ("rough", "EIPO")]
     drawn = [axes.lines[0].get_ydata().tolist() for axes in figure.axes]
     assert drawn == 2 * [[100 * i + 3.5 for i in range(11)]]
 
@@ -148,8 +148,8 @@ def test_kinds_of_runs():
         h=dict(lam=0.0, algo="ppo", seed=1),
     )
     several = [made(name, **given) for name, given in settings.items()]
-    found = {name: [run.name for run in runs] for name, runs in by_kind(several, "flat").items()}
-    assert found == {
+    flat = by_group(several, "flat")["flat"]
+    assert {name: [run.name for run in runs] for name, runs in flat.items()} == {
         "EIPO": ["f"],
         "EIPO, 64 robots": ["c"],
         "PPO(0)": ["e", "h"],
@@ -159,15 +159,31 @@ def test_kinds_of_runs():
     }
 
 
+def test_a_longer_run_is_of_another_group():
+    """It has the paper's step of alpha, and says so if it has another one."""
+    long = dict(iterations=4000)
+    runs = [made("a"), made("b", lr_alpha=0.01, **long), made("c", lr_alpha=0.5, **long)]
+    groups = by_group([*runs, made("d", "rough")])
+    assert {group: list(kinds) for group, kinds in groups.items()} == {
+        "flat": ["EIPO"],
+        "flat, 4000 iterations": ["EIPO", "EIPO at eta_alpha 0.5"],
+        "rough": ["EIPO"],
+    }
+    assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough"]
+    velocity = [made(x, "velocity", [0.2], fell=[0], iterations=n) for x, n in (("a", 9), ("b", 8))]
+    with pytest.raises(Refused, match="one length, not velocity, 9 iterations and velocity, 8 it"):
+        figures.table1(velocity)
+
+
 @pytest.mark.parametrize(("other", "says"), [({}, "nothing"), (dict(history=3), "history")])
 def test_runs_that_must_not_be_pooled_are_one_line(other, says):
     """The same kind and seed twice would count one policy double; other settings are another
     experiment.
     """
     with pytest.raises(Refused, match=f"again.*{says}"):
-        by_kind([made("r"), made("again", **other)], "flat")
+        by_group([made("r"), made("again", **other)])
     with pytest.raises(Refused, match="none of the runs is of the task rough"):
-        by_kind([made("r")], "rough")
+        by_group([made("r")], "rough")
 
 
 # ---- the tables ----
