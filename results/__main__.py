@@ -1,7 +1,8 @@
 """`python -m results NAME ...`: figures and tables of trained robots. NAME is one of
 
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff alpha, as PNG and CSV in --out
-    table     RUN...   a line for each kind of run
+    summary   RUN...   a line for each kind of run: score, power and falls
+    table     RUN...   the same with more, and for each seed
     claims             the paper's claims of runs in --results, each with a verdict by rule
     add       FOLDER   play the policies of run folders, for the tables of --results
 
@@ -21,7 +22,7 @@ from results import runs as record
 from runtime.command import Parser, command
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
-OTHERS = "table", "claims", "add"
+TABLES = "summary", "table"
 
 
 @command("results")
@@ -29,7 +30,7 @@ def main(argv):
     """Do what the command line says; returns the exit status."""
     parser = Parser("python -m results", __doc__)
     add = parser.add_argument
-    add("name", choices=[*FIGURES, *OTHERS], metavar="NAME")
+    add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
     add("--out", type=Path, default=Path(), help="folder for PNG and CSV")
     add("--results", type=Path, default=record.RESULTS, help="folder of the tables")
@@ -39,8 +40,8 @@ def main(argv):
         parser.error(f"{args.name} takes at least one argument")
     if args.name == "add":
         record.add(args.what, args.results, args.episodes)
-    elif args.name == "table":
-        print(*claims.table(record.runs(args.what)), sep="\n")
+    elif args.name in TABLES:
+        print(*getattr(claims, args.name)(record.runs(args.what)), sep="\n")
     elif args.name == "claims":
         print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
     else:

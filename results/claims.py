@@ -12,7 +12,7 @@ from scipy import optimize, stats
 import evaluate
 from results import runs as record
 from results.figures import TABLE1
-from results.runs import KINDS, by_group, task_of
+from results.runs import KINDS, by_group, score_of, task_of
 from runtime.command import Refused
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
@@ -63,7 +63,7 @@ def promise(task, kinds):
     """
     known = {(task, *sides) for _, task, name, _, *sides, _ in CLAIMS if name == "power"}
     pairs = [(kind, f"pi' of {kind}") for kind in kinds if kind.startswith("EIPO")]
-    score = "peak" if task == "velocity" else "performance"
+    score = score_of(task)
     for left, right in [*pairs, ("pi' of EIPO", "PPO(0)")]:
         yield "(3)", task, score, ALL, left, right, "no worse"
         yield "(3)", task, "power", ALL, left, right, "<"
@@ -230,23 +230,54 @@ def shown(compared, name):
     return means, f"{center} [{low}, {high}]"
 
 
-def table(runs):
-    """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds.
+def means(arm):
+    """record.scores of each run of an arm, {name: (runs,)}, and their means, {name: float}."""
+    each = [record.scores(run) for run in arm]
+    each = {name: np.array([row[name] for row in each]) for name in each[0]}
+    return each, {name: x.mean() for name, x in each.items()}
 
-    The score is the peak [m/s] on velocity, and elsewhere task performance.
+
+def summary(runs):
+    """Yields a line of Markdown for each kind of run, with what one can keep in mind."""
+    for group, kinds in by_group(runs).items():
+        score = "peak [m/s]" if score_of(group) == "peak" else "score"
+        yield f"| {group} | {score} | power | fell | seeds |"
+        yield "|---" * 5 + "|"
+        for kind, arm in kinds.items():
+            _, mean = means(arm)
+            score = f"{mean[score_of(group)]:.2f}"
+            yield f"| {kind} | {score} | {power_and_falls(mean)} | {len(arm)} |"
+
+
+def power_and_falls(mean):
+    """Two cells."""
+    return f"{mean['power']:.0f} W | {100 * mean['fell']:.1f} %"
+
+
+def table(runs):
+    """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds, and the
+    score and the last alpha of each. After EIPO from its usual lambda_0 comes its pi'.
     """
     for group, kinds in by_group(runs).items():
-        score = "peak" if task_of(group) == "velocity" else "performance"
-        names = "seeds", f"{score}: mean; each seed", "fell", "from nominal"
-        yield f"| {' | '.join((group, *names, 'power', 'energy', 'last alpha'))} |"
+        names = (
+            "score",
+            "power",
+            "fell",
+            "from nominal",
+            "energy",
+            "last alpha",
+            "score of each seed",
+        )
+        yield f"| {' | '.join((group, *names))} |"
         yield "|---" * 8 + "|"
-        for kind, seeds in kinds.items():
-            rows = [record.scores(run) for run in seeds]
-            mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
-            each = ", ".join(f"{row[score]:.3f}" for row in rows)
-            cells = [kind, str(len(seeds)), f"{mean[score]:.3f}; {each}"]
-            cells += [f"{100 * mean[x]:.1f} %" for x in ("fell", "fell_nominal")]
-            cells += [f"{mean['power']:.0f} W"]
+        for kind, arm in record.with_primes(kinds).items():
+            if kind.startswith("pi' of EIPO "):  # the same as without the lambda_0, if seeds are
+                continue
+            each, mean = means(arm)
+            scores = each[score_of(group)]
+            cells = [kind, f"{scores.mean():.3f}", power_and_falls(mean)]
+            cells += [f"{100 * mean['fell_nominal']:.1f} %"]
             cells += [f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"]
-            alphas = [run.metrics["alpha"][-1] for run in seeds if run.settings["algo"] == "eipo"]
-            yield f"| {' | '.join(cells)} | {', '.join(f'{x:.0f}' for x in alphas)} |"
+            alphas = [run.metrics["alpha"][-1] for run in arm] if kind.startswith("EIPO") else []
+            cells += [", ".join(f"{x:.0f}" for x in alphas)]
+            yield f"| {' | '.join(cells)} | {', '.join(f'{x:.3f}' for x in scores)} |"

@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 import evaluate
 from results import runs as record
-from results.runs import KINDS, LAMBDAS, by_group, task_of
+from results.runs import KINDS, LAMBDAS, by_group, score_of, task_of
 from runtime.command import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
@@ -275,7 +275,7 @@ def tradeoff(runs):
     figure = Figure(figsize=(4.5 * len(groups), 5.5), layout="constrained")
     panels = figure.subplots(1, len(groups), squeeze=False, sharex=one_task, sharey=one_task)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
-        score = "peak" if task_of(group) == "velocity" else "performance"
+        score = score_of(group)
         for name, arm in record.with_primes(kinds).items():
             look = style(name.removeprefix("pi' of "))
             look["edgecolors"] = look.pop("color")

@@ -180,6 +180,11 @@ def task_of(group):
     return group.split(",")[0]
 
 
+def score_of(group):
+    """Which of evaluate.numbers says how well the task of a group is done."""
+    return "peak" if task_of(group) == "velocity" else "performance"
+
+
 def kind(settings):
     """What tables and figures call a run with these settings, {name: setting}, in its group."""
     s, cfg = settings, usual(settings)

@@ -145,12 +145,19 @@ def test_rows_of_the_claims():
 
 def test_a_line_for_each_kind_of_run():
     """Performances 0.01, 0.011 and 0.012 at a power of 100, 101 and 102.01 W; at 0.1 m/s and above
-    all move at 1 m/s. `made` ends with an alpha of 400.
+    all move at 1 m/s. `made` ends with an alpha of 400. pi' draws 5 times as much.
     """
-    head, _, line = claims.table(arm())
-    assert head.startswith("| flat | seeds | performance: mean; each seed | fell |")
-    each = "0.011; 0.010, 0.011, 0.012"
-    assert line == f"| EIPO | 3 | {each} | 0.0 % | 0.0 % | 101 W | 101 J/m | 400, 400, 400 |"
+    runs = [x._replace(prime=y.episodes) for x, y in zip(arm(), arm(power=500.0), strict=True)]
+    head, _, pi, prime = claims.table(runs)
+    assert head.startswith("| flat | score | power | fell | from nominal | energy | last alpha |")
+    each = "0.010, 0.011, 0.012"
+    assert pi == f"| EIPO | 0.011 | 101 W | 0.0 % | 0.0 % | 101 J/m | 400, 400, 400 | {each} |"
+    assert prime == f"| pi' of EIPO | 0.011 | 505 W | 0.0 % | 0.0 % | 505 J/m |  | {each} |"
+    head, _, *lines = claims.summary(runs + arm("velocity", power=7.0))
+    assert head == "| flat | score | power | fell | seeds |"
+    assert lines[0] == "| EIPO | 0.01 | 101 W | 0.0 % | 3 |"
+    assert lines[1] == "| velocity | peak [m/s] | power | fell | seeds |"
+    assert lines[3] == "| EIPO | 3.10 | 7 W | 0.0 % | 3 |"
 
 
 def test_a_claim_about_every_command():
@@ -215,12 +222,15 @@ def test_runs_that_count(tmp_path, capsys):
     assert "has no run" in capsys.readouterr().err
 
 
+IN_MIND = "flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "velocity"
+
+
 def test_the_pages_have_what_the_commands_print():
     pages = "".join(page.read_text() for page in (ROOT / "results").rglob("*.md"))
     lines = list(claims.claim_lines(claims.counted()))
-    older = "velocity/older-*", "velocity/binding1000-*"
-    for shown in (claims.TASKS, older, ("curriculum", "curriculum/printed-*")):
+    for shown in (claims.TASKS, ("curriculum", "curriculum/printed-*")):
         lines += claims.table(record.runs([ROOT / "results" / runs for runs in shown]))
+    lines += claims.summary(record.runs([ROOT / "results" / runs for runs in IN_MIND]))
     for line in lines:
         assert line in pages, line
 
