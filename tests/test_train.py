@@ -253,7 +253,7 @@ def test_a_device_that_jax_does_not_have_is_one_line(tmp_path, platforms, says):
 
 
 def test_a_reward_of_the_wrong_shape_shows_its_own_line(tmp_path, monkeypatch):
-    """docs/task.md invites people to write one. A bug keeps its traceback, and nothing is kept."""
+    """tutorial.md invites people to write one. A bug keeps its traceback, and nothing is kept."""
 
     def mine(velocity, command):
         return rewards.flat(velocity, command) + np.zeros(3)

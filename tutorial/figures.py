@@ -57,26 +57,35 @@ def numbers(figure):
     return " ".join(f"{np.mean(x):.6g}" for x in shown)
 
 
-def ground(rows, lines):
-    """Heights of the ground from above, and along lines.
-
-    rows: (ny, nx) [m]; lines: {label: (n,) [m]}
-    """
+def ground(rough, velocity):
+    """Heights of the ground of `rough` from above, and both grounds along a line; (ny, nx) [m]."""
     figure, (above, along) = panels(1, 2, 1.7)
     above.grid(False)
     style = dict(cmap="cividis", aspect="auto", interpolation="nearest", origin="lower")
-    image = above.imshow(100 * rows, extent=(0, 96, 0, 6), **style)
+    image = above.imshow(100 * rough[::8, ::8], extent=(0, 96, 0, 6), **style)
     figure.colorbar(image, label="height [cm]")
     above.set(xlabel="x [m]: 16 tiles of 6 m, from 0 to 15 cm", ylabel="y [m]")
-    x = 0.05 * np.arange(len(next(iter(lines.values()))))
-    in_cm = {label: 100 * heights for label, heights in lines.items()}
-    plot(along, "x [m] along the middle of the last tile", "height [cm]", x, in_cm)
+    last = {
+        "rough: 15 cm, 1 cell per metre": 100 * rough[60, -120:],
+        "velocity: 5 cm, 4 cells per metre": 100 * velocity[60, -120:],
+    }
+    x = 0.05 * np.arange(120)
+    plot(along, "x [m] along the middle of the last tile", "height [cm]", x, last)
     along.set_ylim(-7, 13)
     return figure
 
 
-def commands(maps):
-    """Weights of the cells of the command curriculum; maps: {title: (22, 40)}."""
+def commands(grid, rng):
+    """How the weights of a tasks.Grid grow for a robot that follows all commands with |v_x| + |yaw
+    rate| below 5.
+    """
+    maps = {}
+    for done in range(0, 5001, 100):
+        if done in (0, 500, 5000):
+            maps[f"after {done}"] = grid.weights.copy()
+        asked = grid.draw(rng, np.arange(100))
+        follows = np.abs(asked[:, [0, 2]]).sum(1) < 5
+        grid.record(asked, np.outer(follows, [1.0, 1.0]))
     figure, axes = panels(len(maps))
     style = dict(extent=(-10, 10, -1, 10), aspect="auto", origin="lower", vmin=0, vmax=1)
     for a, (title, weights) in zip(axes, maps.items(), strict=True):
@@ -107,7 +116,7 @@ def training(runs):
         reward="task reward per step", power="power [W]", alpha="alpha", gap="gap J(pi) - J(pi')"
     )
     for a, (name, label) in zip(axes, labels.items(), strict=True):
-        for (run, c), colour in zip(runs.items(), (BLUE, ORANGE), strict=True):
+        for (run, c), colour in zip(runs.items(), (BLUE, RED, ORANGE), strict=False):
             for key, style, who in ((name, "-", run), (f"prime_{name}", ":", f"{run}, pi'")):
                 if key in c:
                     a.plot(c["steps"] / 1e6, c[key], style, color=colour, label=who)
