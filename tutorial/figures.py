@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+import eipo
+import go1
+import ppo
 from results import runs as record
 
 FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
@@ -43,6 +46,14 @@ def plot(axes, xlabel, ylabel, x, curves):
         axes.legend(frameon=False, fontsize=9)
 
 
+def curves(*drawn, height=2.7):
+    """A figure with a panel for each (xlabel, ylabel, x, {label: y}), as `plot` takes them."""
+    figure, axes = panels(len(drawn), height=height)
+    for a, panel in zip(axes, drawn, strict=True):
+        plot(a, *panel)
+    return figure
+
+
 def draw(name, figure):
     """Write a figure to NAME.png in FOLDER."""
     FOLDER.mkdir(exist_ok=True)
@@ -55,6 +66,33 @@ def numbers(figure):
     shown = [line.get_ydata() for axes in figure.axes for line in axes.lines]
     shown += [image.get_array() for axes in figure.axes for image in axes.images]
     return " ".join(f"{np.mean(x):.6g}" for x in shown)
+
+
+def credit_and_clip():
+    """The advantage of actions before a reward, by gae_lambda, and what PPO raises of a ratio."""
+    steps, never = np.arange(100), np.zeros(100, bool)
+    last, nothing = (steps == 99) * 1.0, np.zeros(100)  # a reward, and a critic that says 0
+    credit = {
+        f"{x}": eipo.gae(last, nothing, nothing, never, never, 0.99, x) for x in (0.5, 0.95, 1.0)
+    }
+    ratio = np.linspace(0.5, 1.5, 101)
+    clipped = {f"A = {A:+.0f}": ppo.clipped_surrogate(ratio, A, 0.2) for A in (1.0, -1.0)}
+    left = "steps before the reward", "advantage, by gae_lambda", 99 - steps, credit
+    return curves(left, ("ratio of probabilities", "what PPO raises", ratio, clipped))
+
+
+def motor(q, target):
+    """The angle of a joint every 5 ms, its target [rad], and the torque limit of V-D."""
+    step = (
+        "time [ms]",
+        "angle [rad]",
+        5 * np.arange(1, 61),
+        {"a thigh": q, "its target": 60 * [target]},
+    )
+    speed = np.linspace(0, 40, 81)
+    most = go1.limit_torque(np.full((81, 12), 99.0), np.tile(speed[:, None], 12), torque_speed=True)
+    most = {"hip, thigh": most[:, 1], "calf": most[:, 2]}
+    return curves(step, ("joint speed [rad/s]", "largest torque [N m]", speed, most))
 
 
 def ground(rough, velocity):
