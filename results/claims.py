@@ -54,22 +54,24 @@ CLAIMS = [
 ]
 
 
-def promise(task, kinds):
-    """Claims of the promise of Eq. (3), in the form of CLAIMS: pi does the task as well as pi', on
-    the least energy.
+def promise(task):
+    """The promise of Eq. (3) in the form of CLAIMS: pi does the task as well as the pi' of its own
+    run, on less power. On velocity alpha hardly moves, and it is no claim.
 
-    Of each EIPO and its own pi', then of pi' and PPO(0), which says how good a rival pi' is, and
-    last in power alone, of EIPO and each PPO that no row of CLAIMS compares.
+    What follows claims nothing. pi' beside PPO(0) says how good a rival pi' is, and then come the
+    ratios of power that no row of CLAIMS has.
     """
-    known = {(task, *sides) for _, task, name, _, *sides, _ in CLAIMS if name == "power"}
-    pairs = [(kind, f"pi' of {kind}") for kind in kinds if kind.startswith("EIPO")]
     score = score_of(task)
-    for left, right in [*pairs, ("pi' of EIPO", "PPO(0)")]:
-        yield "(3)", task, score, ALL, left, right, "no worse"
-        yield "(3)", task, "power", ALL, left, right, "<"
-    for ppo in PPO:
-        if (task, "EIPO", ppo) not in known:
-            yield "(3)", task, "power", ALL, "EIPO", ppo, "<"
+    same, less = ("", "") if task == "velocity" else ("no worse", "<")
+    yield "(3)", task, score, ALL, "EIPO", "pi' of EIPO", same
+    yield "(3)", task, "power", ALL, "EIPO", "pi' of EIPO", less
+    known = {(task, *sides) for _, task, name, _, *sides, _ in CLAIMS if name == "power"}
+    yield "-", task, score, ALL, "pi' of EIPO", "PPO(0)", ""
+    for left, right in [("pi' of EIPO", "PPO(0)"), *(("EIPO", ppo) for ppo in PPO)]:
+        if (task, left, right) not in known:
+            yield "-", task, "power", ALL, left, right, ""
+    for ppo in PPO[1:]:
+        yield "-", task, "power", ALL, ppo, "PPO(0)", ""
 
 
 def counted(results=record.RESULTS):
@@ -122,10 +124,12 @@ def compare(x, y, ratio=False):
 def verdict(compared, claimed, margin):
     """What rules.md says of a Comparison.
 
-    claimed: ">" or "<" (left is above right, or below), "similar", or "no worse" (left is not below
-             right by more than the margin)
+    claimed: ">" or "<" (left is above right, or below), "similar", "no worse" (left is not below
+             right by more than the margin), or "", on which there is no verdict
     margin:  of the difference, or of the log of the ratio
     """
+    if not claimed:
+        return ""
     low, high = compared.wide
     within = -margin < compared.narrow[0] and compared.narrow[1] < margin
     if claimed == "similar":
@@ -172,13 +176,13 @@ def decide(sides, name, claimed, commands=ALL):
 def at_every_command(sides, name, claimed):
     """The verdict on a claim about each of the eleven commands, and where it is what."""
     words = [decide(sides, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
-    words = [word.split(",")[0] for word in words]
-    counts = {word: words.count(word) for word in dict.fromkeys(words)}
-    if "not tested" in counts:
+    if "not tested" in words:
         return "not tested"
-    whole = "reversed" if "reversed" in counts else "undecided"
-    whole = "holds" if counts == {"holds": 11} else whole
-    return f"{whole} (of 11 commands: {', '.join(f'{n} {word}' for word, n in counts.items())})"
+    plain = {word.split(",")[0] for word in words}
+    whole = "reversed" if "reversed" in plain else "undecided"
+    whole = "holds" if plain == {"holds"} else whole
+    counts = (f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+    return f"{whole} (of 11 commands: {'; '.join(counts)})"
 
 
 # ---- rows ----
@@ -196,7 +200,7 @@ def group_lines(group, kinds):
     """Those of one group, without the head of the table."""
     task = task_of(group)
     claims = [claim for claim in CLAIMS if claim[1] == task]
-    for number, _, name, commands, left, right, claimed in [*claims, *promise(task, kinds)]:
+    for number, _, name, commands, left, right, claimed in [*claims, *promise(task)]:
         where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
         where = "" if commands == ALL else where
         what = f"{group}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
@@ -240,13 +244,17 @@ def means(arm):
 def summary(runs):
     """Yields a line of Markdown for each kind of run, with what one can keep in mind."""
     for group, kinds in by_group(runs).items():
-        score = "peak [m/s]" if score_of(group) == "peak" else "score"
-        yield f"| {group} | {score} | power | fell | seeds |"
+        yield f"| {group} | {heading(group)} | power | fell | seeds |"
         yield "|---" * 5 + "|"
         for kind, arm in kinds.items():
             _, mean = means(arm)
             score = f"{mean[score_of(group)]:.2f}"
             yield f"| {kind} | {score} | {power_and_falls(mean)} | {len(arm)} |"
+
+
+def heading(group):
+    """Of the column with the score."""
+    return "peak [m/s]" if score_of(group) == "peak" else "score"
 
 
 def power_and_falls(mean):
@@ -259,16 +267,8 @@ def table(runs):
     score and the last alpha of each. After EIPO from its usual lambda_0 comes its pi'.
     """
     for group, kinds in by_group(runs).items():
-        names = (
-            "score",
-            "power",
-            "fell",
-            "from nominal",
-            "energy",
-            "last alpha",
-            "score of each seed",
-        )
-        yield f"| {' | '.join((group, *names))} |"
+        names = "power", "fell", "from nominal", "energy", "last alpha", "each seed"
+        yield f"| {' | '.join((group, heading(group), *names))} |"
         yield "|---" * 8 + "|"
         for kind, arm in record.with_primes(kinds).items():
             if kind.startswith("pi' of EIPO "):  # the same as without the lambda_0, if seeds are

@@ -88,6 +88,7 @@ def test_the_visible_difference_is_seen_in_four_of_five_samples(n):
         ("no worse", (-0.9, 9), (-0.8, 8), "holds"),
         ("no worse", (-1.1, 9), (-0.8, 8), "undecided"),
         ("no worse", (-9, -1.1), (-8, -1.2), "reversed"),
+        ("", (0.1, 9), (0.2, 8), ""),
     ],
 )
 def test_a_verdict_by_the_rules(claimed, wide, narrow, word):
@@ -170,7 +171,7 @@ def test_a_claim_about_every_command():
     for run in left:
         run.episodes["performance"][run.episodes["asked_v_x"] == 0.7] -= 0.2
     said = claims.at_every_command((left, right), "performance", ">")
-    assert said == "reversed (of 11 commands: 10 holds, 1 reversed)"
+    assert said == "reversed (of 11 commands: 10 holds; 1 reversed)"
 
 
 def test_commands_that_count():
@@ -237,7 +238,7 @@ def test_the_pages_have_what_the_commands_print():
 
 def test_the_promise_is_of_pi_and_its_own_pi_prime():
     """pi is 0.01 below its pi' on 100 / 500 of the power. The rival itself is compared with PPO(0),
-    and the power of EIPO with that of each PPO of which no claim speaks.
+    and the power of EIPO with that of each PPO of which no claim speaks, without a verdict.
     """
     flat = {"EIPO": arm(shift=-0.01), "pi' of EIPO": arm(power=500), "PPO(0)": arm(power=400)}
     flat["PPO(0.005)"] = arm(power=80)
@@ -246,6 +247,7 @@ def test_the_promise_is_of_pi_and_its_own_pi_prime():
     assert own[3:] == ["3", "0.0010 and 0.0110", "-0.0100 [-0.0100, -0.0100]", "holds"]
     own = row(lines, "(3)", "flat, power: EIPO / pi'")
     assert own[3:] == ["3", "101 and 505", "x 0.20 [0.20, 0.20]", "holds"]
-    assert row(lines, "(3)", "power: pi' of EIPO / PPO(0)")[-2] == "x 1.25 [1.25, 1.25]"
-    assert row(lines, "(3)", "power: EIPO / PPO(0)")[-2] == "x 0.25 [0.25, 0.25]"
-    assert not [line for line in lines if line.startswith("| (3) |") and "PPO(0.005)" in line]
+    assert row(lines, "-", "power: pi' of EIPO / PPO(0)")[-2:] == ["x 1.25 [1.25, 1.25]", ""]
+    assert row(lines, "-", "power: EIPO / PPO(0)")[-2:] == ["x 0.25 [0.25, 0.25]", ""]
+    assert row(lines, "-", "power: PPO(0.005) / PPO(0)")[-2:] == ["x 0.20 [0.20, 0.20]", ""]
+    assert not [line for line in lines if line.startswith("| - |") and "EIPO / PPO(0.005)" in line]

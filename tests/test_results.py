@@ -277,8 +277,8 @@ def test_the_record_can_be_read():
 
 
 def test_a_committed_picture_comes_from_the_committed_tables(tmp_path):
-    tasks = str(RESULTS / "flat"), str(RESULTS / "velocity")
-    assert main(["tradeoff", *tasks, "--out", str(tmp_path / "new")]) == 0
+    runs = [str(RESULTS / x) for x in ("flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "velocity")]
+    assert main(["tradeoff", *runs, "--out", str(tmp_path / "new")]) == 0
     assert (tmp_path / "new/tradeoff.csv").read_text() == (RESULTS / "tradeoff.csv").read_text()
     with Image.open(tmp_path / "new/tradeoff.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
