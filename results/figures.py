@@ -297,8 +297,8 @@ def tradeoff(runs):
 
 
 def alpha(runs):
-    """alpha over iterations, a line for each run of EIPO. Dotted lines are the 1 / lambda of each
-    kind of PPO, with what it scores and draws: at such an alpha both have one objective.
+    """alpha over iterations, a line for each run of EIPO. Dotted lines are 1 / lambda of each kind
+    of PPO, with what it scores and draws: at such an alpha pi has the same objective.
     """
     rows = []
     groups = by_group(runs)
@@ -306,29 +306,23 @@ def alpha(runs):
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
         for name, arm in kinds.items():
-            if not name.startswith("EIPO"):
-                lam = arm[0].settings["lam"]
-                mine = [record.scores(run) for run in arm]
-                score, power = (np.mean([x[key] for x in mine]) for key in ("performance", "power"))
-                if lam:
-                    axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
-                    axes.annotate(
-                        f"{name}: {score:.2f} on {power:.0f} W",
-                        (1, 1 / lam),
-                        xycoords=("axes fraction", "data"),
-                        ha="right",
-                        va="bottom",
-                        fontsize=7,
-                    )
-                continue
-            for run in arm:
+            lam = arm[0].settings["lam"]
+            if arm[0].settings["algo"] == "ppo" and lam > 0:
+                each = [record.scores(run) for run in arm]
+                score, power = (
+                    np.mean([x[key] for x in each]) for key in (score_of(group), "power")
+                )
+                axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
+                place = dict(
+                    xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=7
+                )
+                axes.annotate(f"{name}: {score:.2f} on {power:.0f} W", (1, 1 / lam), **place)
+            for run in arm if arm[0].settings["algo"] == "eipo" else []:
                 x, y = (run.metrics[key] for key in ("iteration", "alpha"))
-                label = f"{name}, n = {len(arm)}" if run is arm[0] else None
-                axes.plot(x, y, color=style(name)["color"], linewidth=1, label=label)
+                axes.plot(x, y, color=style(name)["color"], linewidth=1)
                 about = dict(group=group, kind=name, run=run.name)
                 rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
         axes.set(xlabel="iteration", ylabel="alpha", title=group)
         log_axis(axes)
         axes.grid(alpha=0.3)
-        axes.legend(loc="lower right", fontsize=7)
     return rows, figure

@@ -118,6 +118,22 @@ def test_fig5_draws_each_number_at_its_command():
         assert np.allclose(np.diff(at, axis=axis), width)
 
 
+def test_alpha_over_iterations_beside_one_over_lambda():
+    """PPO(0.005), which scores 1.25 on 100 W, has the objective of an alpha of 200."""
+    played = dict(asked_v_x=[0.5, 0.5], start_spread=[0.5, 0], performance=[1.25, 0])
+    played |= dict(power=[100, 0], algo="ppo")
+    ppo = [made("p", lam=0.005, **played), made("q", lam=0.0, **played)]
+    history = dict(iteration=[10, 20], alpha=[200, 400])
+    rows, figure = figures.alpha([made("r")._replace(metrics=history), *ppo])
+    assert [(row["run"], row["iteration"], row["alpha"]) for row in rows] == [
+        ("r", 10, 200),
+        ("r", 20, 400),
+    ]
+    dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
+    assert [line.get_ydata()[0] for line in dotted] == [200]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["PPO(0.005): 1.25 on 100 W"]
+
+
 def test_fig6_has_a_line_for_each_seed_and_their_mean():
     """Speeds 1, 2 and 3, 4 at 0.17 and 0.51 s: the mean is 2, 3."""
     time = np.array([0.17, 0.51])
