@@ -190,7 +190,7 @@ def copied(copy):
 
 
 def test_the_new_task_trains_as_the_page_says(tmp_path):
-    """Section 14, done to the letter: function, entry and test appended, one iteration trained. The
+    """Section 12, done to the letter: function, entry and test appended, one iteration trained. The
     evaluation asks it to turn.
     """
     copy = copied(tmp_path / "copy")

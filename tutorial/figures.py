@@ -9,6 +9,7 @@ computes them. Their background is white, so that they can be read on a dark pag
 import tempfile
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -81,14 +82,21 @@ def credit_and_clip():
     return curves(left, ("ratio of probabilities", "what PPO raises", ratio, clipped))
 
 
-def motor(q, target):
-    """The angle of a joint every 5 ms, its target [rad], and the torque limit of V-D."""
-    step = (
-        "time [ms]",
-        "angle [rad]",
-        5 * np.arange(1, 61),
-        {"a thigh": q, "its target": 60 * [target]},
-    )
+def motor():
+    """The angle of a thigh whose target moves by 0.25 rad, without gravity, and the torque limit of
+    V-D.
+    """
+    model = go1.build_model(timestep=0.005, ground=None)
+    model.opt.gravity[:] = 0
+    data, q, target = mujoco.MjData(model), [], go1.Q_NOMINAL + 0.25 * (np.arange(12) == 1)
+    data.qpos[2:4], data.qpos[7:] = 1.0, go1.Q_NOMINAL
+    for _ in range(60):
+        torque = go1.pd_torque(target, data.qpos[7:], data.qvel[6:])
+        data.ctrl[:] = go1.limit_torque(torque, data.qvel[6:])
+        mujoco.mj_step(model, data)
+        q.append(data.qpos[8])
+    angles = {"a thigh": q, "its target": 60 * [target[1]]}
+    step = "time [ms]", "angle [rad]", 5 * np.arange(1, 61), angles
     speed = np.linspace(0, 40, 81)
     most = go1.limit_torque(np.full((81, 12), 99.0), np.tile(speed[:, None], 12), torque_speed=True)
     most = {"hip, thigh": most[:, 1], "calf": most[:, 2]}
