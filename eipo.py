@@ -9,7 +9,7 @@ in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
     pi, pi_prime    pi maximises alpha J - F and is the result; pi_prime maximises J alone
     alpha           the multiplier of Eq. (4), the weight of J. It starts at 1 / lam (D6)
     lam             lambda_0 of EIPO, or for PPO lambda, the weight of F in Eq. (2)
-    T, N            steps of a rollout, and number of environments
+    T, N            steps of a rollout, and robots of one policy: num_envs, or half of it for EIPO
     D, P, A, K      widths, see `networks.py`
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
@@ -50,13 +50,13 @@ class Config(PPOConfig):
 
     @property
     def ppo_cfg(self):
-        """The PPOConfig alone, with which functions are compiled: a new seed compiles none anew."""
+        """The PPOConfig alone, with which functions are compiled, so that a seed compiles none."""
         return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
 
     @property
     def cost_scale(self):
-        """Factor on f in what the critic learns: lam, since lam f is about as large as r (D6)."""
-        return self.lam or 1e-6  # `estimate` divides by it
+        """Factor on f in what the critic learns: lam, since lam f is not far above r (D6)."""
+        return self.lam or 1e-6  # not 0, as `estimate` divides by it
 
 
 class Dual(NamedTuple):
@@ -113,7 +113,7 @@ def eipo(env, env_prime, cfg, state=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = state or init_state(env, env_prime, cfg)
+    state = state or init_state(env, env_prime, cfg)  # which does what lines 3 and 4 say
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
     for iteration in range(state.iteration + 1, cfg.iterations + 1):  # Alg.1 L5
@@ -157,12 +157,12 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, task, cost):
+def summary(est, task_weight, cost_weight):
     """Metrics of an iteration: J(pi), and the task's share of pi's objective, weighted as in `mix`.
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1 the cost has no say.
     """
-    weighted = est.advantage.std((0, 1)) * jnp.array([task, cost])
+    weighted = est.advantage.std((0, 1)) * jnp.array([task_weight, cost_weight])
     return dict(J=estimate_J(est), task_share=weighted[0] / (weighted.sum() + 1e-30))
 
 
@@ -266,13 +266,13 @@ def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
     return jax.lax.scan(backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True)[1]
 
 
-def mix(advantage, task, cost):
-    """Advantage (T, N) of task J - cost F. Line 8.
+def mix(advantage, task_weight, cost_weight):
+    """Advantage (T, N) of J and F with these weights. Line 8.
 
-    advantage:  (T, N, 2) of r and of f
-    task, cost: weights, which are alpha and 1 in Eq. (4), and 1 and lambda in Eq. (2)
+    advantage: (T, N, 2) of r and of f
+    The weights are alpha and 1 in Eq. (4), and 1 and lambda in Eq. (2).
     """
-    return task * advantage[..., 0] - cost * advantage[..., 1]
+    return task_weight * advantage[..., 0] - cost_weight * advantage[..., 1]
 
 
 def estimate_J(est):

@@ -29,21 +29,23 @@ class Layer(NamedTuple):
 
 def mlp(layers, x):
     """Outputs (..., m) of an MLP for inputs (..., n), with ELU between the layers."""
-    even_inputs = [len(matrix) for matrix in layers[0].weights[:-1]]  # none without a mirror
-    halves = jnp.split(x, even_inputs, -1)
+    num_even = [len(matrix) for matrix in layers[0].weights[:-1]]  # [] without a mirror
+    parts = jnp.split(x, num_even, -1)  # even and odd entries, or all of them
     for i, layer in enumerate(layers):
-        if i:  # ELU acts on the right and left units themselves
-            halves = sum_and_difference([jax.nn.elu(half) for half in sum_and_difference(halves)])
-        halves = [half @ matrix for half, matrix in zip(halves, layer.weights, strict=True)]
-        halves[0] += layer.bias
-    return jnp.concatenate(halves, -1)
+        if (
+            i
+        ):  # ELU is not linear: it needs the right and left units, not their sums and differences
+            parts = sum_and_difference([jax.nn.elu(part) for part in sum_and_difference(parts)])
+        parts = [part @ matrix for part, matrix in zip(parts, layer.weights, strict=True)]
+        parts[0] += layer.bias
+    return jnp.concatenate(parts, -1)
 
 
-def sum_and_difference(halves):
+def sum_and_difference(parts):
     """[right, left] units from [even, odd], or back, as this is its own inverse."""
-    if len(halves) == 1:
-        return halves
-    first, second = halves
+    if len(parts) == 1:
+        return parts
+    first, second = parts
     return [(first + second) / np.sqrt(2), (first - second) / np.sqrt(2)]
 
 
@@ -55,7 +57,8 @@ def policy(params, obs):
     """
     estimate = mlp(params["estimator"], obs)
     mean = mlp(params["actor"], join(params, obs, jax.lax.stop_gradient(estimate)))
-    # the even and the odd entry of a pair share one, so the noise of right and left is independent
+    # every entry has a partner, so as many are even as are odd; a pair shares one, which makes the
+    # noise of right and left independent
     std = jnp.exp(jnp.tile(params["log_std"], len(params["actor"][-1].weights)))
     return mean, jnp.broadcast_to(std, mean.shape), estimate
 
@@ -66,8 +69,11 @@ def value(params, obs, privileged):
 
 
 def join(params, obs, privileged):
-    """obs and what is privileged, or its estimate, as one (..., D + P), even entries first."""
-    even = params["estimator"][-1].weights[0].shape[1]  # the estimator's outputs are of this kind
+    """obs and what is privileged, or its estimate, as one (..., D + P), even entries first.
+
+    obs begins with its own even entries, so that what is privileged and even goes before it.
+    """
+    even = params["estimator"][-1].weights[0].shape[1]  # how many are: the estimator's outputs
     return jnp.concatenate([privileged[..., :even], obs, privileged[..., even:]], -1)
 
 
@@ -92,11 +98,12 @@ def init_params(rng, env, heads, cfg):
     cfg:   ppo.PPOConfig, with the widths of the hidden layers
     """
     sizes = env.obs_size, env.privileged_size, env.action_size
-    n_obs, n_privileged, n_action = map(np.atleast_1d, sizes)  # one number each, or even and odd
+    # arrays with one number, or with those of even and odd entries, which `+` adds each to its own
+    n_obs, n_privileged, n_action = map(np.atleast_1d, sizes)
     n_values = [heads, 0][: len(n_obs)]  # a mirrored state has the same value: nothing is odd
 
     def init(inputs, widths, outputs):
-        hidden = [[n // len(inputs)] * len(inputs) for n in widths]  # as many even as odd units
+        hidden = [[n // len(inputs)] * len(inputs) for n in widths]  # units come in pairs, too
         return init_mlp(rng, [inputs, *hidden, outputs])
 
     return dict(
@@ -107,10 +114,10 @@ def init_params(rng, env, heads, cfg):
     )
 
 
-def init_mlp(rng, widths):
+def init_mlp(rng, sizes):
     """Random layers of an MLP, within +- 1 / sqrt(fan-in) as in PyTorch [lab code].
 
-    widths: of each layer, from the input on, a list with one number, or with those of even and of
+    sizes: of each layer, from the input on, a list with one number, or with those of even and of
         odd entries. Even units have only even inputs, so each matrix has its own fan-in.
     """
 
@@ -119,7 +126,7 @@ def init_mlp(rng, widths):
         return (rng.uniform(-1, 1, shape) / scale).astype(np.float32)
 
     layers = []
-    for ins, outs in pairwise(widths):
+    for ins, outs in pairwise(sizes):
         weights = tuple(uniform(n, n, m) for n, m in zip(ins, outs, strict=True))
         layers.append(Layer(weights, uniform(ins[0], outs[0])))
     return layers

@@ -61,8 +61,8 @@ def init_learner(rng, env, streams, cfg):
 def optimizer(cfg):
     """Adam without its step size.
 
-    Each network's gradient is clipped by itself. If a number in any is not finite, the whole step
-    is skipped.
+    The gradient of each network is clipped by itself, with the noise's in the actor's. If a number
+    in any is not finite, the whole step is skipped.
     """
     clip = dict.fromkeys(
         ("actor", "critic", "estimator"), optax.clip_by_global_norm(cfg.max_grad_norm)
@@ -70,17 +70,18 @@ def optimizer(cfg):
     labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, labels), adam)
-    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)  # never apply one
+    # after so many in a row it would apply one
+    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
 @partial(jax.jit, static_argnames="cfg")
 def ppo_update(learner, tau, target, advantage, key, cfg):
-    """All epochs and minibatches of one iteration (L9, L11): the new Learner, and its losses.
+    """All epochs and minibatches of one iteration (L9, L11): the new Learner, and losses by name.
 
     tau:       eipo.Transition of the rollout
     target:    (T, N, K) for the critic
     advantage: (T, N), mixed. It is normalised here, once, over steps and robots
-    losses:    means of what `ppo_loss` logs; lr; how many gradients were skipped since the start
+    The losses are means of what `ppo_loss` logs, lr, and the gradients skipped since the start.
     """
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)
@@ -116,7 +117,8 @@ def shuffled(key, size, cfg):
 
 
 def gradient(params, data, chosen, cfg):
-    """Gradients of `ppo_loss` for a minibatch, and what it logs.
+    """Gradients of `ppo_loss` for a minibatch, and what it logs. With several processes
+    `runtime/parallel.py` puts the mean over them in its place.
 
     data: arrays (T * N, ...) by name; chosen: (samples,) which of them
     """

@@ -1,7 +1,7 @@
 """The four tasks of Section IV-A, their commands, and every setting of the simulated world.
 
 `TASKS` says what makes a task that task, `Config` holds the world's settings with their defaults,
-and `task_config` puts both together. What has a range is drawn anew for each episode.
+and `task_config` puts both together. A setting that is a range is drawn anew for each episode.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ class Range:
     """Commands that are drawn uniformly, from 0 to a greatest one."""
 
     low = np.zeros(3)
-    weights = np.zeros(0)  # all that commands learn
+    weights = np.zeros(0)  # what was learned: nothing
 
     def __init__(self, *high):
         """high: v_x, v_y [m/s] and yaw rate [rad/s] of the greatest command."""
-        self.high = self.example = np.array(high)  # which one shows and evaluates the task with
+        self.high = self.example = np.array(high)  # with which one shows and evaluates the task
 
     def start(self):
         """Forget what was learned."""
@@ -71,7 +71,7 @@ class Grid:
     example = np.array([1.0, 0.0, 0.0])
 
     def __init__(self):
-        self.weights = np.zeros((22, 40))  # [-] of the cells, over v_x and yaw rate
+        self.weights = np.zeros((22, 40))  # [-] of the cells: 11 m/s and 20 rad/s over CELL
         self.start()
 
     def start(self):
@@ -115,17 +115,18 @@ class Task(NamedTuple):
     about: str  # the task in a few words, for `train.py -h`
     reward: Callable  # of (velocity, command), Eqs. (5) to (8)
     commands: Callable  # makes the object that draws commands
-    world: dict  # fields of Config that differ from their defaults
-    learner: dict  # fields of eipo.Config that differ from their defaults
+    world: dict  # fields of Config that the task sets
+    learner: dict  # fields of eipo.Config that the task sets
     # whether the feet alone may touch the ground; otherwise the calves may, too
     only_feet: bool = False
-    torque_speed: bool = False  # whether the torque-speed limit of Section V-D holds
+    # whether the torque-speed limit of Section V-D holds; with motor_model it does anyway
+    torque_speed: bool = False
 
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
-# on `velocity`. Where lambda_0 is so large that pi would stand still for most of a run, alpha takes
-# larger steps than the paper's 0.01 (D38). `velocity` has fewer robots, because standing still
-# earns nothing there, and pi learns to run from fewer samples.
+# on `velocity`. Where lambda_0 is so large that pi would stand still for much of a run, alpha takes
+# larger steps than the paper's 0.01 (D38). On `velocity` standing still earns nothing, so pi soon
+# leaves it, and fewer robots do.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",

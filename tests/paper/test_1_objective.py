@@ -42,12 +42,14 @@ def test_eq02_lambda_objective():
     A_r - lam A_f =  0,  4, -7
     """
     advantage = np.array([[1.0, 4.0], [2.0, -8.0], [-3.0, 16.0]])
-    assert eipo.mix(advantage, task=1, cost=0.25).tolist() == [0, 4, -7]
+    assert eipo.mix(advantage, task_weight=1, cost_weight=0.25).tolist() == [0, 4, -7]
 
 
 def test_eq02_without_energy_is_the_task_alone():
     """With lam = 0 what is left is A_r."""
-    assert eipo.mix(np.array([[1.0, 64.0], [2.0, 64.0]]), task=1, cost=0).tolist() == [1, 2]
+    assert eipo.mix(
+        np.array([[1.0, 64.0], [2.0, 64.0]]), task_weight=1, cost_weight=0
+    ).tolist() == [1, 2]
 
 
 def test_eq04_lambda_is_one_over_alpha():
@@ -57,7 +59,10 @@ def test_eq04_lambda_is_one_over_alpha():
     Eq. (4)    4 A_r - A_f
     """
     advantage = dyadic(np.random.default_rng(0), 64, 2)
-    eq2, eq4 = eipo.mix(advantage, task=1, cost=0.25), eipo.mix(advantage, task=4, cost=1)
+    eq2, eq4 = (
+        eipo.mix(advantage, task_weight=1, cost_weight=0.25),
+        eipo.mix(advantage, task_weight=4, cost_weight=1),
+    )
     assert np.array_equal(4 * eq2, eq4)
     assert np.array_equal((eq2 - eq2.mean()) / eq2.std(), (eq4 - eq4.mean()) / eq4.std())
 

@@ -259,7 +259,7 @@ def test_sample_is_the_mean_and_noise_of_every_joint():
     obs = np.repeat(env.observe()[0][:1], 4000, 0)
     turned, log_prob = sample(params, obs, KEY)
     mean, _, _ = policy(params, obs[:1])
-    action, mean = turned @ env.action.T, mean @ env.action.T
+    action, mean = turned @ env.action_basis.T, mean @ env.action_basis.T
     std_by_hand = np.tile([1, 2, 0.5], 4)
     np.testing.assert_allclose(np.std(action, 0), std_by_hand, rtol=0.05)
     np.testing.assert_allclose(np.mean(action, 0), mean[0], atol=0.15)
@@ -281,7 +281,7 @@ def test_a_mirrored_observation_gets_a_mirrored_action():
     def answers(obs, privileged):
         obs, privileged = env.turned(obs, privileged)
         mean, _, estimate = policy(params, obs)
-        back = mean @ env.action.T, estimate @ env.privileged.T
+        back = mean @ env.action_basis.T, estimate @ env.privileged_basis.T
         return *back, value(params, obs, privileged)
 
     mean, estimate, values = answers(obs, privileged)
