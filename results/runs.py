@@ -33,7 +33,7 @@ RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 # to be played of each policy from each kind of start, by results/rules.md and for Figure 5
-NUM_EPISODES = dict(flat=330, rough=330, velocity=500, curriculum=968)
+NUM_EPISODES = dict(flat=330, rough=330, velocity=1000, curriculum=968)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 # of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
