@@ -197,22 +197,28 @@ def test_the_papers_own_difference():
 
 
 def write(place, *runs):
-    """Tables with runs (name, seed, commit), each with an episode."""
+    """Tables with runs (name, seed, commit), each with an episode. One called long has 4000
+    iterations.
+    """
     place.mkdir(parents=True)
-    settings = made().settings
-    rows = [
-        dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
-        | {f"env.{x}": json.dumps(seed if x == "seed" else y) for x, y in settings.items()}
-        for name, seed, commit, *resumed in runs
-    ]
+    rows = []
+    for name, seed, commit, *resumed in runs:
+        settings = made(seed=seed, iterations=4000 if name == "long" else 600).settings
+        row = dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
+        rows.append(row | {f"env.{x}": json.dumps(y) for x, y in settings.items()})
     record.write(place / record.RUNS, rows)
     record.write(place / record.EPISODES, [dict(run=name, fell=0.0) for name, *_ in runs])
 
 
 def test_runs_that_count(tmp_path, capsys):
-    """Seeds from 10 to 17, of one commit, of which all their starts must be."""
-    write(tmp_path / "flat", ("a", 9, "old"), ("b", 10, "new"), ("c", 11, "new"), ("d", 23, "old"))
-    assert [run.name for run in claims.counted(tmp_path)["flat"]["EIPO"]] == ["b", "c"]
+    """Seeds from 10 to 17, of one commit in a group, of which all their starts must be. The longest
+    group of a task comes first.
+    """
+    others = ("a", 9, "old"), ("d", 23, "old"), ("long", 10, "newest")
+    write(tmp_path / "flat", ("b", 10, "new"), ("c", 11, "new"), *others)
+    groups = claims.counted(tmp_path)
+    names = {group: [run.name for run in kinds["EIPO"]] for group, kinds in groups.items()}
+    assert list(names.items()) == [("flat, 4000 iterations", ["long"]), ("flat", ["b", "c"])]
     write(tmp_path / "more" / "flat", ("a", 10, "0ld"), ("b", 11, "new"))
     assert main(["claims", "--results", str(tmp_path / "more")]) == 2
     assert "0ld, new" in capsys.readouterr().err
