@@ -203,7 +203,8 @@ def write(place, *runs):
     place.mkdir(parents=True)
     rows = []
     for name, seed, commit, *resumed in runs:
-        settings = made(seed=seed, iterations=4000 if name == "long" else 600).settings
+        long = dict(iterations=4000, lr_alpha=0.01) if name == "long" else {}
+        settings = made(seed=seed, **long).settings
         row = dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
         rows.append(row | {f"env.{x}": json.dumps(y) for x, y in settings.items()})
     record.write(place / record.RUNS, rows)
