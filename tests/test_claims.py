@@ -238,9 +238,11 @@ def test_the_pages_have_what_the_commands_print():
     lines = list(claims.claim_lines(claims.counted()))
     for shown in (claims.TASKS, ("flat/flat4000-*",), ("curriculum", "curriculum/printed-*")):
         lines += claims.table(record.runs([ROOT / "results" / runs for runs in shown]))
-    lines += claims.summary(record.runs([ROOT / "results" / runs for runs in IN_MIND]))
-    for line in lines:
+    in_mind = list(claims.summary(record.runs([ROOT / "results" / runs for runs in IN_MIND])))
+    for line in lines + in_mind:
         assert line in pages, line
+    readme = (ROOT / "README.md").read_text()  # it has the first of these tables
+    assert all(line in readme for line in in_mind[:7])
 
 
 def test_the_promise_is_of_pi_and_its_own_pi_prime():
