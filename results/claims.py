@@ -234,20 +234,13 @@ def shown(compared, name):
     return means, f"{center} [{low}, {high}]"
 
 
-def means(arm):
-    """record.scores of each run of an arm, {name: (runs,)}, and their means, {name: float}."""
-    each = [record.scores(run) for run in arm]
-    each = {name: np.array([row[name] for row in each]) for name in each[0]}
-    return each, {name: x.mean() for name, x in each.items()}
-
-
 def summary(runs):
     """Yields a line of Markdown for each kind of run, with what one can keep in mind."""
     for group, kinds in by_group(runs).items():
         yield f"| {group} | {heading(group)} | power | fell | seeds |"
         yield "|---" * 5 + "|"
         for kind, arm in kinds.items():
-            _, mean = means(arm)
+            _, mean = record.means(arm)
             score = f"{mean[score_of(group)]:.2f}"
             yield f"| {kind} | {score} | {power_and_falls(mean)} | {len(arm)} |"
 
@@ -273,7 +266,7 @@ def table(runs):
         for kind, arm in record.with_primes(kinds).items():
             if kind.startswith("pi' of EIPO "):  # the same as without the lambda_0, if seeds are
                 continue
-            each, mean = means(arm)
+            each, mean = record.means(arm)
             scores = each[score_of(group)]
             cells = [kind, f"{scores.mean():.3f}", power_and_falls(mean)]
             cells += [f"{100 * mean['fell_nominal']:.1f} %"]

@@ -280,8 +280,8 @@ def tradeoff(runs):
             look = style(name.removeprefix("pi' of "))
             look["edgecolors"] = look.pop("color")
             look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
-            mine = [record.scores(run) for run in arm]
-            x, y = (np.array([numbers[key] for numbers in mine]) for key in (score, "power"))
+            each, _ = record.means(arm)
+            x, y = each[score], each["power"]
             axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
             axes.scatter(x.mean(), y.mean(), 60, label=f"{name}, n = {len(arm)}", **look)
             about = dict(group=group, kind=name)
@@ -306,18 +306,14 @@ def alpha(runs):
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
         for name, arm in kinds.items():
-            lam = arm[0].settings["lam"]
-            if arm[0].settings["algo"] == "ppo" and lam > 0:
-                each = [record.scores(run) for run in arm]
-                score, power = (
-                    np.mean([x[key] for x in each]) for key in (score_of(group), "power")
-                )
+            algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
+            if algo == "ppo" and lam > 0:
+                mean = record.means(arm)[1]
+                label = f"{name}: {mean[score_of(group)]:.2f} on {mean['power']:.0f} W"
                 axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
-                place = dict(
-                    xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=7
-                )
-                axes.annotate(f"{name}: {score:.2f} on {power:.0f} W", (1, 1 / lam), **place)
-            for run in arm if arm[0].settings["algo"] == "eipo" else []:
+                at = dict(xycoords=("axes fraction", "data"), ha="right", va="bottom")
+                axes.annotate(label, (1, 1 / lam), fontsize=7, **at)
+            for run in arm if algo == "eipo" else []:
                 x, y = (run.metrics[key] for key in ("iteration", "alpha"))
                 axes.plot(x, y, color=style(name)["color"], linewidth=1)
                 about = dict(group=group, kind=name, run=run.name)

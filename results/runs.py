@@ -155,6 +155,13 @@ def scores(run):
     return random | {f"{name}_nominal": nominal[name] for name in ("performance", "fell")}
 
 
+def means(arm):
+    """`scores` of each run of an arm, {name: (runs,)}, and their means, {name: float}."""
+    each = [scores(run) for run in arm]
+    each = {name: np.array([row[name] for row in each]) for name in each[0]}
+    return each, {name: x.mean() for name, x in each.items()}
+
+
 # ---- kinds of runs: EIPO or PPO(lambda), and whatever else is not usual for the task ----
 
 
