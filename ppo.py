@@ -117,8 +117,7 @@ def shuffled(key, size, cfg):
 
 
 def gradient(params, data, chosen, cfg):
-    """Gradients of `ppo_loss` for a minibatch, and what it logs. With several processes
-    `runtime/parallel.py` puts the mean over them in its place.
+    """Gradients of `ppo_loss` for a minibatch, and what it logs.
 
     data: arrays (T * N, ...) by name; chosen: (samples,) which of them
     """

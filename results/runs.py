@@ -14,6 +14,7 @@ import csv
 import gzip
 import io
 import json
+import re
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import product
@@ -279,7 +280,9 @@ def add(folders, results=RESULTS, num_episodes=None):
 def run_row(folder):
     """The row of runs.csv of a run folder, without scores. What is JSON there is JSON here."""
     with run_folder.reading(folder / "config.json"):
-        config = json.loads((folder / "config.json").read_text())
+        text = (folder / "config.json").read_text()
+        # where a run was kept is of its machine, and its name stands in the table anyway
+        config = json.loads(re.sub(r" --out[ =]('[^']*'|[^ \"]+)", "", text))
         first, *resumed = config["starts"]
         cfg = config["learner"]
         done = int(read(folder / "metrics.csv")[-1]["iteration"])

@@ -228,7 +228,10 @@ def test_a_run_that_is_put_in_comes_out(short):
     shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
     config = json.loads((folder / "config.json").read_text())
     (start,) = config["starts"]
-    config["starts"] = [start | dict(cpu="a CPU", cores=2), start | dict(command="again")]
+    config["starts"] = [
+        start | dict(cpu="a CPU", cores=2),
+        start | dict(command="again --out /a/b --seed 3"),
+    ]
     (folder / "config.json").write_text(json.dumps(config))
     for _ in range(2):  # the second time replaces the first
         assert main(["add", str(folder), "--results", "kept", "--episodes", "22"]) == 0
@@ -241,7 +244,7 @@ def test_a_run_that_is_put_in_comes_out(short):
     assert eipo_run.metrics["v_x"].tolist() == [10.333, 20.333, 30.333, 35.333]
     row = eipo_run.row
     assert (row["iterations"], row["cpu"]) == ("35", "a CPU")
-    assert row["cores"] == "2" and json.loads(row["resumed"])[0]["command"] == "again"
+    assert row["cores"] == "2" and json.loads(row["resumed"])[0]["command"] == "again --seed 3"
     pi, prime = (eipo_run._replace(episodes=e) for e in (eipo_run.episodes, eipo_run.prime))
     for run, each in ((pi, 22), (prime, 22), (ppo_run, 11)):
         assert len(run.episodes["fell"]) == 2 * each
