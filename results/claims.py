@@ -7,7 +7,7 @@ seed is one of the rules, and those of a task must be of one commit.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 import evaluate
 from results import runs as record
@@ -105,7 +105,6 @@ class Comparison(NamedTuple):
     difference: float  # mean of left less right
     wide: tuple  # its 95 % interval by Student's t, paired by seed
     narrow: tuple  # its 90 % interval
-    visible: float  # the smallest difference that as many seeds show with 80 % power, at 5 %
 
 
 def compare(x, y, ratio=False):
@@ -115,10 +114,8 @@ def compare(x, y, ratio=False):
     wide, narrow = (
         (difference - t * error, difference + t * error) for t in stats.t.ppf((0.975, 0.95), n - 1)
     )
-    f = stats.f.ppf(0.95, 1, n - 1)  # the square of t
-    errors = optimize.brentq(lambda k: stats.ncf.sf(f, 1, n - 1, k**2) - 0.8, 0.1, 15.0)
     means = np.exp([x.mean(), y.mean()]) if ratio else (x.mean(), y.mean())
-    return Comparison(tuple(means), difference, wide, narrow, error * errors)
+    return Comparison(tuple(means), difference, wide, narrow)
 
 
 def verdict(compared, claimed, margin):
@@ -212,9 +209,6 @@ def group_lines(group, kinds):
         if word == "not tested":
             continue
         cells = shown(compared, name) if compared else ("", "")
-        if compared and word == "undecided":
-            seen = compared.visible
-            word += f", would see {f'x {np.exp(seen):.2f}' if name in RATIOS else f'{seen:.2g}'}"
         if compared and name == "peak" and {left, right} <= TABLE1.keys():
             size = TABLE1[left] - TABLE1[right]
             inside = compared.wide[0] <= size <= compared.wide[1]

@@ -17,7 +17,6 @@ from matplotlib.ticker import LogLocator, NullLocator
 import evaluate
 from results import runs as record
 from results.runs import KINDS, LAMBDAS, by_group, score_of, task_of
-from runtime.command import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
@@ -76,15 +75,6 @@ def summarise(name, by_seed, statistic=np.mean):
     over_seeds = evaluate.interval([seeds], of_seeds, vectorized=False)
     numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
     return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}
-
-
-def only_group(runs, task):
-    """The one group of runs of a task, and its kinds. Refused if there are several, or none."""
-    groups = by_group(runs, task)
-    if len(groups) > 1:
-        raise Refused(f"this figure takes runs of one length, not {' and '.join(groups)}")
-    (found,) = groups.items()
-    return found
 
 
 def by_command(group, kinds, commands, columns, statistic=np.mean):
@@ -187,7 +177,8 @@ def fig4(runs):
 
 def fig5(runs):
     """Task performance and power over commands of v_x and yaw rate. Section V-E."""
-    rows = by_command(*only_group(runs, "curriculum"), record.GRID, ("performance", "power"))
+    ((group, kinds),) = by_group(runs, "curriculum").items()
+    rows = by_command(group, kinds, record.GRID, ("performance", "power"))
     figure, panels = panels_by("run", rows, 2)
     v_x, yaw = record.GRID[::11, 0], record.GRID[:11, 2]
     for i, column in enumerate(("performance", "power")):
@@ -213,7 +204,7 @@ def fig6(runs):
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
-    group, kinds = only_group([run for run in runs if run.speed], "velocity")
+    ((group, kinds),) = by_group([run for run in runs if run.speed], "velocity").items()
     for name, seeds in kinds.items():
         time = seeds[0].speed["time"]
         speeds = {run.name: run.speed["v_x"] for run in seeds}
@@ -239,7 +230,7 @@ def table1(runs):
     Interquartile means over the episodes of all seeds (D26).
     """
     columns = "peak", "v_x", "power", "energy"
-    group, kinds = only_group(runs, "velocity")
+    ((group, kinds),) = by_group(runs, "velocity").items()
     rows = by_command(group, kinds, np.zeros((1, 3)), columns, evaluate.iqm)
     for row in rows:
         row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)

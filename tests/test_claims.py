@@ -1,11 +1,9 @@
 """results/claims.py: comparisons of runs by the rules of results/rules.md."""
 
 import json
-import re
 
 import numpy as np
 import pytest
-from scipy import stats
 from support import ROOT
 from test_results import made
 
@@ -62,16 +60,6 @@ def test_runs_are_paired_by_seed():
     assert claims.paired({}, "a", "b") == ([], [])
 
 
-@pytest.mark.parametrize("n", [3, 6])
-def test_the_visible_difference_is_seen_in_four_of_five_samples(n):
-    """Drawn: 40,000 samples of n differences with the deviation 1 around it."""
-    signs = np.resize([1.0, -1.0], n)
-    visible = compare(signs / signs.std(ddof=1), np.zeros(n)).visible
-    drawn = np.random.default_rng(0).normal(visible, 1, (40_000, n))
-    seen = stats.ttest_1samp(drawn, 0, axis=1).pvalue < 0.05
-    assert seen.mean() == pytest.approx(0.8, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("claimed", "wide", "narrow", "word"),
     [
@@ -93,7 +81,7 @@ def test_the_visible_difference_is_seen_in_four_of_five_samples(n):
 )
 def test_a_verdict_by_the_rules(claimed, wide, narrow, word):
     """The margin is 1."""
-    assert verdict(Comparison((0, 0), 0, wide, narrow, 0), claimed, 1) == word
+    assert verdict(Comparison((0, 0), 0, wide, narrow), claimed, 1) == word
 
 
 # ---- the rows ----
@@ -193,7 +181,7 @@ def test_the_papers_own_difference():
     assert row(lines, 24, "PPO(0.0001)")[-1] == "holds; the paper's -0.57 is outside"
     arms["velocity"]["EIPO"][1].episodes["peak"][:] += 1.5
     said = row(list(claims.claim_lines(arms)), 23, "EIPO - PPO(0) ")[-1]
-    assert re.fullmatch(r"undecided, would see \d\.\d; the paper's \+0\.74 is inside", said)
+    assert said == "undecided; the paper's +0.74 is inside"
 
 
 def write(place, *runs):

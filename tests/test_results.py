@@ -186,9 +186,6 @@ def test_a_longer_run_is_of_another_group():
         "rough": ["EIPO"],
     }
     assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough"]
-    velocity = [made(x, "velocity", [0.2], fell=[0], iterations=n) for x, n in (("a", 9), ("b", 8))]
-    with pytest.raises(Refused, match="one length, not velocity, 9 iterations and velocity, 8 it"):
-        figures.table1(velocity)
 
 
 @pytest.mark.parametrize(("other", "says"), [({}, "nothing"), (dict(history=3), "history")])
