@@ -181,7 +181,11 @@ class Go1Env:
         power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
         fell = physics.touched[:, forbidden].any(-1) & ~diverged  # however lightly it touches
-        overload = (power > (env_cfg.max_power or np.inf)) & ~fell & ~diverged
+        overload = (
+            (power > (np.inf if env_cfg.max_power is None else env_cfg.max_power))
+            & ~fell
+            & ~diverged
+        )
         terminated = diverged | fell | overload
         truncated = ~terminated & (state.age >= env_cfg.episode_steps)
         log = self._log(motion, power, np.where(diverged, 0.0, task_reward))

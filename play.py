@@ -1,7 +1,7 @@
 """Look at a policy: `python play.py RUN` opens MuJoCo's viewer.
 
-Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture, of
-several runs side by side. Legs of one colour are diagonal, so they move together in a trot.
+Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture.
+Legs of one colour are diagonal, so they move together in a trot.
 
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
@@ -51,7 +51,7 @@ def parse(argv):
     """The arguments of the command line."""
     parser = Parser("play.py", __doc__.splitlines()[0])
     add = parser.add_argument
-    add("runs", nargs="+", metavar="RUN", help="run folder with a policy.npz; several for a GIF")
+    add("run", metavar="RUN", type=Path, help="run folder with a policy.npz")
     add("--gif", metavar="FILE", type=Path, help="draw into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
@@ -61,8 +61,6 @@ def parse(argv):
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
     add("--slow", type=finite, help="times slower than real (default: 1, of a GIF 4)")
     args = parser.parse_args(argv)
-    if len(args.runs) > 1 and not args.gif:
-        parser.error("a window or a browser shows one run: give --gif FILE for several")
     if not 0 <= args.port < 2**16:
         parser.error(f"--port is {args.port}: it must be from 0 to 65535")
     if args.seconds <= 0 or (args.slow or 1) <= 0:
@@ -70,37 +68,33 @@ def parse(argv):
     return args
 
 
-def begin(run, args):
-    """The environment of a run, the iterator of `play` over it, and its command."""
-    pi, env_cfg = run_folder.load_policy(Path(run) / "policy.npz")
+def begin(args):
+    """The environment of the run, the iterator of `play` over it, and its command."""
+    pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
     example = tasks.TASKS[env_cfg.task].commands().example
     asked = np.array(args.command or example, float)
     env = make_env(env_cfg, asked)
     return env, play(env, pi, args.seed), asked
 
 
-def draw(args, slow):
+def draw(args, env, steps, asked):
     """Draw the GIF of the command line."""
-    robots, captions = [], []
-    for run in args.runs:
-        env, steps, asked = begin(run, args)
-        pictures, logs = viewer.film(env, steps, args.seconds)
-        mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
-        did = viewer.caption(env, mean, asked)
-        captions.append(f"{Path(run).resolve().name}, {slow:g} times slower\n{did}")
-        robots.append(pictures)
-    viewer.save_gif(args.gif, robots, captions, round(1000 * slow * env.period))
+    slow = args.slow or 4.0
+    pictures, logs = viewer.film(env, steps, args.seconds)
+    mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
+    did = viewer.caption(env, mean, asked)
+    caption = f"{args.run.resolve().name}, {slow:g} times slower\n{did}"
+    viewer.save_gif(args.gif, pictures, caption, round(1000 * slow * env.period))
 
 
 @command("play.py")
 def main(argv):
     """Play or draw; returns the exit status."""
     args = parse(argv)
+    seen = begin(args)
     if args.gif:
-        draw(args, args.slow or 4.0)
-        return 0
-    seen = begin(args.runs[0], args)
-    if args.web:
+        draw(args, *seen)
+    elif args.web:
         viewer.browser(*seen, args.port, args.slow or 1.0)
     else:
         viewer.window(*seen, args.slow or 1.0)

@@ -126,7 +126,7 @@ def prepare(options, given_env, given_learner):
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
-    check(env_cfg, cfg, options.processes or 1)
+    check(cfg, options.processes or 1)
     jax_setup.restore(began_with)
     return folder, env_cfg, cfg
 

@@ -73,8 +73,6 @@ def replace_file(path, write):
 @contextmanager
 def lock(folder):
     """Make the run folder and keep it to this process, until it ends, unless another one has it."""
-    if folder.is_symlink() and not folder.exists():
-        raise Refused(f"{folder} is a link to {folder.readlink()}, which does not exist")
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "lock", "a") as file:
         try:
@@ -90,13 +88,10 @@ def lock(folder):
 
 def commit():
     """The commit of this source, with a + if it was changed since; "unknown" outside of git."""
-    here = Path(__file__)
-    is_ours = ["ls-files", "--error-unmatch", here.name]  # and not a copy in somebody's repository
-    describe = ["describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    options = dict(cwd=here.parent, capture_output=True, text=True)
+    describe = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    options = dict(cwd=Path(__file__).parent, capture_output=True, text=True)
     try:
-        _, found = (subprocess.run(["git", *x], check=True, **options) for x in (is_ours, describe))
-        return found.stdout.strip()
+        return subprocess.run(describe, check=True, **options).stdout.strip()
     except (FileNotFoundError, subprocess.CalledProcessError):  # there is no git, or no commit
         return "unknown"
 

@@ -20,7 +20,7 @@ from runtime.command import Refused
 # up, down, left, right: GLFW's codes
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
-SIZE = (480, 270)  # pixels of a GIF, for each run
+SIZE = (480, 270)  # pixels of a GIF
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 COLOURS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)  # of the legs
@@ -190,16 +190,12 @@ def film(env, steps, seconds):
     return pictures, logs
 
 
-def save_gif(path, pictures, captions, milliseconds):
-    """Write pictures of several robots, (robots, T, height, width, 3), side by side into a GIF.
-
-    captions: of each robot; milliseconds: that each picture lasts
-    """
+def save_gif(path, pictures, caption, milliseconds):
+    """Write pictures, (T, height, width, 3), into a GIF; milliseconds: that each of them lasts."""
     font = ImageFont.load_default(17)
-    images = [Image.fromarray(np.hstack(row)) for row in zip(*pictures, strict=True)]
+    images = list(map(Image.fromarray, pictures))
     for image in images:
-        for i, text in enumerate(captions):
-            ImageDraw.Draw(image).text((SIZE[0] * i + 10, 6), text, (10, 10, 10), font)
+        ImageDraw.Draw(image).text((10, 6), caption, (10, 10, 10), font)
     # one palette without dithering: colours that change would flicker
     palette = images[0].quantize(40, Image.Quantize.MAXCOVERAGE)
     first, *others = (x.quantize(dither=Image.Dither.NONE, palette=palette) for x in images)

@@ -48,23 +48,21 @@ def env():
 
 
 @needs_gl
-def test_a_gif_of_two_runs_without_a_display(runs, tmp_path):
-    """0.1 s are 5 steps of 20 ms, each shown for 80 ms. Something moves from each to the next. On
-    the left is a plane that shows no sky, on the right are bumps.
-    """
-    command = [sys.executable, "play.py", runs["flat"], runs["velocity"]]
-    command += ["--gif", tmp_path / "two.gif", "--seconds", "0.1"]
+@pytest.mark.parametrize("task", ["flat", "velocity"])
+def test_a_gif_without_a_display(runs, tmp_path, task):
+    """0.1 s are 5 steps of 20 ms, each shown for 80 ms. Something moves from each to the next."""
+    command = [sys.executable, "play.py", runs[task]]
+    command += ["--gif", tmp_path / "a.gif", "--seconds", "0.1"]
     done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    with Image.open(tmp_path / "two.gif") as gif:
+    with Image.open(tmp_path / "a.gif") as gif:
         pictures = np.array(
             [np.asarray(x.convert("RGB"), int) for x in ImageSequence.Iterator(gif)]
         )
         assert gif.info["duration"] == 80
-    assert pictures.shape == (5, 270, 960, 3)
+    assert pictures.shape == (5, 270, 480, 3)
     below = pictures[:, 30:]  # without the caption
     assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(below))
-    assert np.abs(below[:, 70:, :480] - below[:, 70:, 480:]).mean() > 10
 
 
 # ---- what goes wrong ----

@@ -1,4 +1,4 @@
-"""Settings: those of the paper, and those that would train nonsense without a word."""
+"""Settings: those of the paper, and those that do not fit together."""
 
 import pytest
 from support import error_of
@@ -102,24 +102,13 @@ def test_what_is_typed_is_read():
     "given, says",
     [
         ("--lam 0", "lam is 0"),
-        ("--lam nan", "lam is nan"),
-        ("--gamma 1.5", "gamma is 1.5: it must be from 0 to 1"),
-        ("--momentum-alpha 1.5", "momentum_alpha is 1.5"),
-        ("--clip-eps -0.1", "clip_eps is -0.1: it must be above 0"),
-        ("--timestep 0", "timestep is 0.0"),
-        ("--friction -1 1", "friction is (-1.0, 1.0): it must be 0 or more"),
-        ("--payload -9 0", "payload is (-9.0, 0.0)"),
-        ("--com 0 inf", "com is (0.0, inf): it must be finite"),
-        ("--max-power 0", "max_power is 0.0"),
-        ("--algo ppo --lam -0.1", "lam is -0.1"),
         ("--lr 0.01", "--target-kl 0"),
         ("--hidden 8 3", "odd"),
         ("--num-envs 3", "multiple of 2"),
         ("--num-envs 2 --num-steps 1 --num-minibatches 2", "num_minibatches"),
-        ("--friction 1.25 0.5", "friction is (1.25, 0.5)"),
     ],
 )
-def test_silent_nonsense_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, given, says):
+def test_what_does_not_fit_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, given, says):
     assert says in error_of(capsys, train.main, *given.split(), "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
@@ -137,8 +126,7 @@ def test_flags_that_do_not_parse_are_one_line(capsys, given):
 def test_settings_of_ppo_are_checked_as_ppo():
     """One policy takes an odd number of environments, and one sample per minibatch is enough."""
     few = dict(algo="ppo", num_envs=3, num_steps=1)
-    world = tasks.Config()
-    flags.check(world, eipo.Config())
-    flags.check(world, eipo.Config(**few, num_minibatches=3))
+    flags.check(eipo.Config())
+    flags.check(eipo.Config(**few, num_minibatches=3))
     with pytest.raises(Refused, match="num_minibatches"):
-        flags.check(world, eipo.Config(**few, num_minibatches=4))
+        flags.check(eipo.Config(**few, num_minibatches=4))
