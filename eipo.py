@@ -279,8 +279,8 @@ def estimate_J(est):
     """J of a policy (L12): the mean of the task's target over the states of its rollout.
 
     A target blends the rewards of the rollout with the values of the policy's own critic. It is
-    averaged over all visited states, not only the first (D8), and has the factor reward_scale. The
-    lab's code compares normalised advantages, whose mean is 0 for all, so alpha would rest.
+    averaged over all visited states, not only the first (D8), and has the factor reward_scale. Of
+    normalised advantages the mean is 0 for every policy, so alpha would rest.
     """
     return est.target[..., 0].mean()
 
