@@ -98,8 +98,11 @@ def test_table1_has_interquartile_means_beside_the_papers():
     """
     fast = [made("a", "velocity", peak=[0, 1, 2, 3, 4, 5, 6, 1000])]
     fast += [made("b", "velocity", peak=[1.0, 1], lam=0.01)]
-    rows, _ = figures.table1(fast)
+    rows, figure = figures.table1(fast)
     assert cells(rows, "run", "peak", "paper")[0] == ("EIPO", 3.5, 2.86)
+    (bars,) = (x for x in figure.axes[0].containers if hasattr(x, "has_xerr"))
+    drawn = bars[2][0].get_segments()[0]
+    assert drawn == pytest.approx(np.array([[rows[0][f"peak_{x}"], 1] for x in ("low", "high")]))
     assert rows[1]["run"] == "EIPO from 0.01" and np.isnan(rows[1]["paper"])
     printed = [2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37]
     assert dict(zip(KINDS, printed, strict=True)) == figures.TABLE1

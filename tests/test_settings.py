@@ -38,13 +38,15 @@ def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, it
 def test_paper_settings_of_every_task():
     """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 0.01, 1
     and 0.99; V-A: 1000 steps. D5, D10: discount, GAE's lambda, PPO's clip range and the scale are
-    the lab's.
+    the lab's. D20, D21, D40: Adam's step and the KL at which it aims, no entropy bonus, and noise
+    with a deviation of exp(0) at the start.
     """
     cfg = eipo.Config()
     assert (cfg.hidden, cfg.hidden_estimator) == ((512, 256, 128), (256, 128))
     assert (cfg.num_steps, cfg.num_epochs, cfg.num_minibatches, cfg.max_grad_norm) == (24, 5, 4, 1)
     assert (cfg.lr_alpha, cfg.clip_alpha, cfg.momentum_alpha) == (0.01, 1, 0.99)
     assert (cfg.gamma, cfg.gae_lambda, cfg.clip_eps, cfg.reward_scale) == (0.99, 0.95, 0.2, 0.02)
+    assert (cfg.lr, cfg.target_kl, cfg.ent_coef, cfg.log_std) == (3e-4, 0.03, 0, 0)
     assert evaluate.EPISODE_STEPS == 1000
 
 

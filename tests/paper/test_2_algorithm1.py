@@ -253,6 +253,7 @@ def test_algorithm1_eipo_starts_as_ppo(with_effort):
     ppo = run(Probe(near_half, effort), None)
     assert trees_equal(ppo[1][0].pi, states[1][0].pi)
     assert not trees_equal(ppo[2][0].pi, states[2][0].pi)
+    assert ppo[1][1]["task_share"] == pytest.approx(states[1][1]["task_share"])
     held = run(Probe(near_half, effort), Probe(near_half, effort), replace(EIPO, lr_alpha=0.0))
     assert trees_equal(ppo[2][0].pi, held[2][0].pi)
 
@@ -301,6 +302,19 @@ def test_algorithm1_line13_gets_the_gap_and_line_9_its_alpha(with_effort, monkey
     jumped = run(Probe(near_half, effort), Probe(near_half, effort))
     assert trees_equal(jumped[1][0].pi, with_effort[0][1][0].pi)
     assert not trees_equal(jumped[2][0].pi, with_effort[0][2][0].pi)
+    assert jumped[2][1]["task_share"] > 2 * with_effort[0][2][1]["task_share"]
+
+
+def test_algorithm1_line12_the_gap_has_the_scale_of_rewards():
+    """D10. Rewards of 2 and 6 at a scale of 1/2 are rewards of 1 and 3, also in what is logged."""
+
+    def rewards(r):
+        return Probe(lambda x, t, a: r + 0 * x)
+
+    _, (_, usual) = run(rewards(1.0), rewards(3.0), iterations=1)
+    _, (_, scaled) = run(rewards(2.0), rewards(6.0), replace(EIPO, reward_scale=0.5), 1)
+    assert scaled["gap"] == usual["gap"] and scaled["J"] == usual["J"]
+    assert [scaled[name] for name in ("reward", "prime_reward")] == [2, 6]
 
 
 def test_algorithm1_resumes_with_the_same_bits(with_effort):

@@ -196,27 +196,32 @@ def test_coordinates_by_hand():
 
 
 def test_what_is_even_comes_first():
-    """Two frames (a, b), of which a and b are a pair: sums of both frames, then differences. The
-    privileged number changes its sign, so it is odd. An action (2 sqrt 2, 5, sqrt 2) is (3, 1, 5).
+    """Two frames (a, b), of which a and b are a pair: sums of both frames, then differences. What
+    is privileged becomes (-b, -a), so its difference is even and its sum is odd. An action
+    (2 sqrt 2, 5, sqrt 2) is (3, 1, 5).
     """
-    shown = np.array([[3.0, 1.0, 7.0, 2.0]]), np.array([[5.0]])
+    shown = np.array([[3.0, 1.0, 7.0, 2.0]]), np.array([[5.0, 3.0]])
     asked = []
     info = dict(final_obs=2 * shown[0], final_privileged=2 * shown[1])
     env = SimpleNamespace(
         num_envs=1,
         obs_size=4,
-        mirror=dict(frame=([1, 0], [1, 1]), privileged=([0], [-1]), action=([1, 0, 2], [1, 1, 1])),
+        mirror=dict(
+            frame=([1, 0], [1, 1]), privileged=([1, 0], [-1, -1]), action=([1, 0, 2], [1, 1, 1])
+        ),
         observe=lambda: shown,
         reset=lambda seed: asked.append(seed),
         step=lambda action: asked.append(action) or (None, 1.0, False, True, info),
     )
     turned = mirror.Mirrored(env)
     sizes = turned.obs_size, turned.privileged_size, turned.action_size
-    assert sizes == ([2, 2], [0, 1], [2, 1])
+    assert sizes == ([2, 2], [1, 1], [2, 1])
     obs, reward, terminated, truncated, info = turned.step(np.array([[2 * 2**0.5, 5, 2**0.5]]))
     assert obs[0] * 2**0.5 == pytest.approx([4, 9, 2, 5], rel=1e-6)
     assert info["final_obs"][0] == pytest.approx(2 * obs[0])
-    assert (info["final_privileged"], reward, terminated, truncated) == (10, 1.0, False, True)
+    assert turned.observe()[1][0] * 2**0.5 == pytest.approx([2, 8], rel=1e-6)
+    assert info["final_privileged"][0] * 2**0.5 == pytest.approx([4, 16], rel=1e-6)
+    assert (reward, terminated, truncated) == (1.0, False, True)
     assert asked[0] == pytest.approx(np.array([[3, 1, 5]]), rel=1e-6)
     assert turned.reset(7)[0] == pytest.approx(obs) and asked[1] == 7
 
@@ -422,6 +427,16 @@ def test_algorithm1_line09_ppo_normalises_the_advantage():
     assert not trees_equal(usual, one_update(advantage=-advantages(3))[0])
     small = one_update(advantage=advantages(3) / 1024)[0]["log_std"]
     assert float(small[0]) == pytest.approx(float(usual["log_std"][0]), abs=1e-3)
+
+
+def test_algorithm1_line09_ppo_normalises_no_minibatch_by_itself():
+    """A minibatch of equal advantages still teaches the actor."""
+    pi = learner_of(handmade())
+    data = dict(obs=1.0, privileged=0.5, action=0.5, target=3.0)
+    data = {name: jnp.full((4, 1), x) for name, x in data.items()}
+    data |= dict(log_prob=jnp.full(4, -1.0), advantage=jnp.ones(4))
+    grads, _ = ppo.gradient(pi.params, data, jnp.arange(2), EIPO.ppo_cfg)
+    assert float(jnp.abs(grads["actor"][0].weights[0]).max()) > 0.1
 
 
 @pytest.mark.parametrize("axis", [0, 1])
