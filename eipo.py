@@ -232,7 +232,7 @@ def estimate(learner, tau, cost_scale, cfg):
     """The Estimate of a rollout, in which r and f stay apart, or of r alone for pi_prime.
 
     GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
-    alpha moves. It learns returns of r and cost_scale f, which are of comparable size; the
+    alpha moves. It learns returns of r and cost_scale f, which are of moderate size; the
     advantages are of r and f themselves. cfg: PPOConfig
     """
     values = value(learner.params, tau.obs, tau.privileged)

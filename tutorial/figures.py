@@ -128,7 +128,7 @@ def commands(grid, rng):
     maps = {}
     for done in range(0, 5001, 100):
         if done in (0, 500, 5000):
-            maps[f"after {done}"] = grid.weights.copy()
+            maps[f"after {done} commands"] = grid.weights.copy()
         asked = grid.draw(rng, np.arange(100))
         follows = np.abs(asked[:, [0, 2]]).sum(1) < 5
         grid.record(asked, np.outer(follows, [1.0, 1.0]))
@@ -137,7 +137,7 @@ def commands(grid, rng):
     for a, (title, weights) in zip(axes, maps.items(), strict=True):
         a.grid(False)
         image = a.imshow(weights, **style)
-        a.set_title(f"{title}: {weights.mean():.1%} of cells", fontsize=10)
+        a.set_title(title, fontsize=10)
         a.set(xlabel="yaw rate [rad/s]", ylabel="v_x [m/s]" if a is axes[0] else "")
     figure.colorbar(image, ax=axes.tolist(), label="weight")
     return figure
