@@ -79,7 +79,8 @@ def test_feature_size(cells_per_m, points):
 
 
 def test_make_ground():
-    """Three tiles in a row along x, 120 x 360 points, each with its own roughness, in that order.
+    """Three tiles in a row along x, 120 x 360 points, each with a roughness, in that order, and with
+    noise of its own.
 
     A resumed run and both policies of one find the same ground. Another seed makes another one,
     and so do settings.
@@ -89,6 +90,7 @@ def test_make_ground():
     assert ground.shape == (120, 360)
     tiles = ground.reshape(120, 3, 120)  # each with its apron
     assert np.ptp(tiles, (0, 2)) == pytest.approx(roughness, rel=1e-12)
+    assert np.abs(tiles[:, 2] / 3 - tiles[:, 1]).max() > 0.01
     assert (make_ground(roughness, seed=0, cells_per_m=4) == ground).all()
     for other in (dict(seed=1), dict(cells_per_m=2)):
         assert (make_ground(roughness, **other) != ground)[:, 120:].mean() > 0.9

@@ -16,7 +16,7 @@ from results import figures
 
 class Scripted:
     """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot
-    2 hardly moves.
+    2 hardly moves, and falls in the last step.
 
     20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 3/64;
     power 8 W times the number of the robot plus 1; reward 0.5. After robot 1's fall the next
@@ -35,8 +35,8 @@ class Scripted:
         log = dict(v_x=speed, power=power)
         over = np.array([False, self.t > 3, False])
         log = {name: np.where(over, 64.0, x) for name, x in log.items()}
-        terminated = np.array([False, self.t == 3, False])
-        truncated = np.array([self.t == 20, False, self.t == 20])
+        terminated = np.array([False, self.t == 3, self.t == 20])
+        truncated = np.array([self.t == 20, False, False])
         return np.zeros((3, 1)), np.where(over, 64.0, 0.5), terminated, truncated, dict(log=log)
 
 
@@ -50,7 +50,7 @@ def test_performance_counts_early_ends_as_zeros(episodes):
     0.075.
     """
     assert episodes.performance.tolist() == [0.5, 0.075, 0.5]
-    assert episodes.fell.tolist() == [False, True, False]
+    assert episodes.fell.tolist() == [False, True, True]
 
 
 def test_velocity_and_power_are_of_the_first_episode(episodes):
