@@ -232,17 +232,17 @@ def estimate(learner, tau, cost_scale, cfg):
     """The Estimate of a rollout, in which r and f stay apart, or of r alone for pi_prime.
 
     GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
-    alpha moves. It learns returns of r and cost_scale f, which are of moderate size; the
-    advantages are of r and f themselves. cfg: PPOConfig
+    alpha moves. cfg: PPOConfig
     """
     values = value(learner.params, tau.obs, tau.privileged)
     next_values = value(learner.params, tau.next_obs, tau.next_privileged)
-    earned = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
-    scale = jnp.array([cost_scale if name == "cost" else 1.0 for name in learner.streams])
+    streams = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
+    # the critic learns r and cost_scale f, which is of moderate size; line 8 mixes r and f
+    unit = jnp.array([cost_scale if name == "cost" else 1.0 for name in learner.streams])
+    earned = cfg.reward_scale * unit * streams
     ends = tau.terminated[..., None], tau.truncated[..., None]
-    earned = cfg.reward_scale * scale * earned
     advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
-    return Estimate(advantage / scale, advantage + values)
+    return Estimate(advantage=advantage / unit, target=advantage + values)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):

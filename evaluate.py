@@ -21,7 +21,7 @@ from scipy import stats
 import go1_env
 import tasks
 from runtime import run_folder
-from runtime.command import Parser, Refused, command
+from runtime.command import Parser, command
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
@@ -65,10 +65,8 @@ def load(folder, clip=None, nominal=False, prime=False):
     nominal: start from the nominal pose at rest, not from random poses as in training
     prime:   take pi', the rival in a run of EIPO
     """
-    path = Path(folder) / ("policy_prime.npz" if prime else "policy.npz")
-    if prime and not path.exists():
-        raise Refused(f"{path} does not exist: a run of PPO has no pi'")
-    pi, env_cfg = run_folder.load_policy(path)
+    name = "policy_prime.npz" if prime else "policy.npz"  # which a run of PPO does not have
+    pi, env_cfg = run_folder.load_policy(Path(folder) / name)
     return pi, evaluation_config(env_cfg, clip, nominal)
 
 
@@ -80,34 +78,26 @@ def make_env(env_cfg, command):
     return go1_env.Go1Env(len(command), env_cfg, commands=tasks.Given(np.array(command, float)))
 
 
-def play_episode(policy, env):
-    """Play one episode of every robot. Yields of each step: reward, log, who is alive, who falls.
+def run_episodes(policy, env):
+    """Play one episode of every robot of env: the Episodes, and speed ahead (T, N) [m/s], NaN after
+    the end.
 
     policy: function of obs (N, D) that returns actions (N, 12) [-], as Policy.mean
     """
     obs, _ = env.reset(SEED)
-    alive = np.ones(env.num_envs, bool)
+    alive, fell = np.ones(env.num_envs, bool), np.zeros(env.num_envs, bool)
+    steps = []
     for _ in range(env.env_cfg.episode_steps):
         obs, reward, terminated, truncated, info = env.step(policy(obs))
-        yield reward, info["log"], alive, alive & terminated
+        steps.append((alive, reward, info["log"]["v_x"], info["log"]["power"]))
+        fell |= alive & terminated
         alive = alive & ~(terminated | truncated)
-
-
-def run_episodes(policy, env):
-    """The Episodes of all robots of env, and their speed ahead (T, N) [m/s], NaN after the end.
-
-    Arguments are those of `play_episode`.
-    """
-    rows = [
-        (reward, *(log[name] for name in ("v_x", "power")), alive, falls)
-        for reward, log, alive, falls in play_episode(policy, env)
-    ]
-    *series, alive, falls = map(np.stack, zip(*rows, strict=True))  # (T, N) each
+    alive, *series = map(np.stack, zip(*steps, strict=True))  # (T, N) each
     reward, v_x, power = (np.where(alive, x, 0.0) for x in series)
     length = alive.sum(0)
     episodes = Episodes(
         performance=reward.sum(0) / len(alive),
-        fell=falls.any(0),
+        fell=fell,
         v_x=v_x.sum(0) / length,
         power=power.sum(0) / length,
         peak=np.where(alive, v_x, -np.inf).max(0),

@@ -175,17 +175,20 @@ class Go1Env:
         # episode, and this step has reward 0 and cost 0 (D44).
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
-        task_reward, reward = self._reward(motion, physics, action_before)
+        velocity = motion.heading
+        if env_cfg.velocity_frame == "body":  # D25
+            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
+        state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
+        reward = task_reward = self.task.reward(velocity, state.command)  # Eqs. (5) to (8)
+        if env_cfg.reward == "shaped":
+            reward = self._shaped_reward(velocity, motion, physics, action_before)
         power, cost = self._power_and_cost(physics)
         reward, cost = np.where(diverged, 0.0, [reward, cost])
         power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
         fell = physics.touched[:, forbidden].any(-1) & ~diverged  # however lightly it touches
-        overload = (
-            (power > (np.inf if env_cfg.max_power is None else env_cfg.max_power))
-            & ~fell
-            & ~diverged
-        )
+        limit = np.inf if env_cfg.max_power is None else env_cfg.max_power
+        overload = (power > limit) & ~fell & ~diverged
         terminated = diverged | fell | overload
         truncated = ~terminated & (state.age >= env_cfg.episode_steps)
         log = self._log(motion, power, np.where(diverged, 0.0, task_reward))
@@ -244,25 +247,14 @@ class Go1Env:
         """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""
         return (physics.speed[-1] - physics.speed[0]) / self.period
 
-    def _reward(self, motion, physics, action_before):
-        """The reward of the task and the one to learn from, (N,) each: the same unless shaped.
-
-        It also updates two counters: how well the command is followed, and how long each foot has
-        been off the ground.
-        """
+    def _shaped_reward(self, velocity, motion, physics, action_before):
+        """The shaped reward (N,). It also counts how long each foot has been off the ground."""
         state = self.state
-        velocity = motion.heading
-        if self.env_cfg.velocity_frame == "body":
-            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
-        state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
         touch = self.contacts[:, go1.FEET] > 0
         landed = rewards.landings(state.off_ground, touch, self.period)
         state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
-        task_reward = self.task.reward(velocity, state.command)
-        if self.env_cfg.reward == "paper":
-            return task_reward, task_reward
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
-        return task_reward, rewards.shaped(
+        return rewards.shaped(
             velocity=velocity,
             command=state.command,
             v_z=motion.body[:, 2],
@@ -280,9 +272,8 @@ class Go1Env:
 
     def _log(self, motion, power, task_reward):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
-        command_x = self.state.command[:, 0].copy()
-        log = dict(v_x=motion.heading[:, 0], power=power)
-        log |= dict(command_x=command_x)
+        asked = self.state.command[:, 0].copy()
+        log = dict(v_x=motion.heading[:, 0], power=power, command_x=asked)
         if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=task_reward)
         if self.commands.weights.size:

@@ -7,9 +7,8 @@ with the power clip a policy loses nothing if it commutes with M: if pi(M s) = M
 
 M keeps (right + s left) / sqrt 2, which is even, and negates (right - s left) / sqrt 2, which is
 odd. s is the sign that M gives to the pair, -1 for hips. An entry without a partner, such as v_y,
-is even or odd by itself. In these coordinates a linear layer that commutes with M maps even to even
-and odd to odd, and all its other weights are zero. So one product of n x m becomes two of about n/2
-x m/2, which `networks.mlp` takes.
+is even or odd by itself. In these coordinates one product of n x m becomes two of about n/2 x m/2
+(`networks.py`).
 
 `Mirrored` shows what an environment shows in these coordinates, the even ones first, and turns
 actions back. Whoever learns from it need not know. Without it everything works as well, with

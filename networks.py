@@ -32,9 +32,8 @@ def mlp(layers, x):
     num_even = [len(matrix) for matrix in layers[0].weights[:-1]]  # [] without a mirror
     parts = jnp.split(x, num_even, -1)  # even and odd entries, or all of them
     for i, layer in enumerate(layers):
-        if (
-            i
-        ):  # ELU is not linear: it needs the right and left units, not their sums and differences
+        if i:
+            # ELU is not linear: it needs the right and left units, not their sums and differences
             parts = sum_and_difference([jax.nn.elu(part) for part in sum_and_difference(parts)])
         parts = [part @ matrix for part, matrix in zip(parts, layer.weights, strict=True)]
         parts[0] += layer.bias
@@ -100,16 +99,15 @@ def init_params(rng, env, heads, cfg):
     sizes = env.obs_size, env.privileged_size, env.action_size
     # arrays with one number, or with those of even and odd entries, which `+` adds each to its own
     n_obs, n_privileged, n_action = map(np.atleast_1d, sizes)
-    n_values = [heads, 0][: len(n_obs)]  # a mirrored state has the same value: nothing is odd
-
-    def init(inputs, widths, outputs):
-        hidden = [[n // len(inputs)] * len(inputs) for n in widths]  # units come in pairs, too
-        return init_mlp(rng, [inputs, *hidden, outputs])
-
+    kinds = len(n_obs)
+    n_state, n_values = n_obs + n_privileged, [heads, 0][:kinds]  # nothing of a value is odd
+    hidden, hidden_estimator = (
+        [[n // kinds] * kinds for n in widths] for widths in (cfg.hidden, cfg.hidden_estimator)
+    )
     return dict(
-        actor=init(n_obs + n_privileged, cfg.hidden, n_action),
-        critic=init(n_obs + n_privileged, cfg.hidden, n_values),
-        estimator=init(n_obs, cfg.hidden_estimator, n_privileged),
+        actor=init_mlp(rng, [n_state, *hidden, n_action]),
+        critic=init_mlp(rng, [n_state, *hidden, n_values]),
+        estimator=init_mlp(rng, [n_obs, *hidden_estimator, n_privileged]),
         log_std=np.full(n_action[0], cfg.log_std, np.float32),
     )
 

@@ -24,7 +24,7 @@ import numpy as np
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.command import Parser, command, finite
+from runtime.command import Parser, command
 
 
 def make_env(env_cfg, asked):
@@ -56,48 +56,32 @@ def parse(argv):
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
-    add("--seconds", type=finite, default=1.0, help="of the robot's time in a GIF (default: 1)")
-    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=finite)
+    add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
+    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
-    add("--slow", type=finite, help="times slower than real (default: 1, of a GIF 4)")
-    args = parser.parse_args(argv)
-    if not 0 <= args.port < 2**16:
-        parser.error(f"--port is {args.port}: it must be from 0 to 65535")
-    if args.seconds <= 0 or (args.slow or 1) <= 0:
-        parser.error("--seconds and --slow must be above 0")
-    return args
-
-
-def begin(args):
-    """The environment of the run, the iterator of `play` over it, and its command."""
-    pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
-    example = tasks.TASKS[env_cfg.task].commands().example
-    asked = np.array(args.command or example, float)
-    env = make_env(env_cfg, asked)
-    return env, play(env, pi, args.seed), asked
-
-
-def draw(args, env, steps, asked):
-    """Draw the GIF of the command line."""
-    slow = args.slow or 4.0
-    pictures, logs = viewer.film(env, steps, args.seconds)
-    mean = {name: np.mean([log[name] for log in logs]) for name in logs[0]}
-    did = viewer.caption(env, mean, asked)
-    caption = f"{args.run.resolve().name}, {slow:g} times slower\n{did}"
-    viewer.save_gif(args.gif, pictures, caption, round(1000 * slow * env.period))
+    add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
+    return parser.parse_args(argv)
 
 
 @command("play.py")
 def main(argv):
     """Play or draw; returns the exit status."""
     args = parse(argv)
-    seen = begin(args)
-    if args.gif:
-        draw(args, *seen)
-    elif args.web:
-        viewer.browser(*seen, args.port, args.slow or 1.0)
+    pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
+    asked = np.array(args.command or tasks.TASKS[env_cfg.task].commands().example, float)
+    env = make_env(env_cfg, asked)
+    steps = play(env, pi, args.seed)
+    if args.web:
+        viewer.browser(env, steps, asked, args.port, args.slow or 1.0)
+    elif not args.gif:
+        viewer.window(env, steps, asked, args.slow or 1.0)
     else:
-        viewer.window(*seen, args.slow or 1.0)
+        slow = args.slow or 4.0
+        pictures, logs = viewer.film(env, steps, args.seconds)
+        mean = {name: np.mean([log[name] for log in logs]) for name in ("v_x", "power")}
+        did = viewer.caption(env, mean, asked)
+        caption = f"{args.run.resolve().name}, {slow:g} times slower\n{did}"
+        viewer.save_gif(args.gif, pictures, caption, round(1000 * slow * env.period))
     return 0
 
 

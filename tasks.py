@@ -205,7 +205,7 @@ class Config:
     gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity in x, y, z
     motor_model: bool = False  # [IV-A.4] a model of the real motors instead of ideal PD (D11)
     latency: int = 0  # [lab code] physics steps until a joint target reaches the motors
-    max_power: float | None = None  # [IV-A.4] W, power above which an episode ends; none: no limit
+    max_power: float | None = None  # [IV-A.4] W, power above which an episode ends; inf: no limit
     reward: Literal["paper", "shaped"] = "paper"  # [V-E] Eqs. (5) to (8), or that of [5]
     aux: Literal["energy", "smooth"] = "energy"  # [V-E] auxiliary cost: Eq. (9), or Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that few end at once

@@ -40,11 +40,11 @@ def run_path(options, env_cfg, cfg):
 
 
 def resumed_settings(folder, given, processes):
-    """Both Configs and the surroundings of the run in folder, with more iterations if given.
+    """Both Configs of the run in folder, with more iterations if given, and its threads of JAX.
 
     given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, began_with, was = checkpoint.load_settings(folder / "checkpoint.npz")
+    env_cfg, cfg, threads, was = checkpoint.load_settings(folder / "checkpoint.npz")
     if was != processes:
         raise Refused(f"{folder} is a run on {was} process(es): --resume needs as many")
     settings = asdict(env_cfg) | asdict(cfg)
@@ -52,7 +52,7 @@ def resumed_settings(folder, given, processes):
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
             what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
             raise Refused(f"{what}: --resume can only raise iterations")
-    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), began_with
+    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
 
 
 def make_envs(env_cfg, cfg, threads):
@@ -119,15 +119,15 @@ def train(folder, envs, cfg, options, command):
 def prepare(options, given_env, given_learner):
     """The run folder and both Configs of a run that may start, or go on; JAX is set up for it."""
     env_cfg, cfg = settle(given_env, given_learner)
-    folder, began_with = run_path(options, env_cfg, cfg), {}
+    folder, jax_threads = run_path(options, env_cfg, cfg), None
     if options.resume:
         given = given_env | given_learner
-        env_cfg, cfg, began_with = resumed_settings(folder, given, options.processes or 1)
+        env_cfg, cfg, jax_threads = resumed_settings(folder, given, options.processes or 1)
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
     check(cfg, options.processes or 1)
-    jax_setup.restore(began_with)
+    jax_setup.set_threads(jax_threads)
     return folder, env_cfg, cfg
 
 
@@ -142,8 +142,7 @@ def main(argv):
     folder, env_cfg, cfg = prepare(options, *given)
     with parallel.together(options.coordinator, options.processes, options.process):
         jax_setup.find_device()
-        here = jax_setup.surroundings() | {jax_setup.THREADS: "each has its own"}
-        parallel.check_same_start(*given, options.resume, options.checkpoint_every, here)
+        parallel.check_same_start(*given, options.resume, options.checkpoint_every)
         envs = make_envs(env_cfg, cfg, options.threads)
         with run_folder.lock(folder) if is_main else nullcontext():
             stopped = train(folder, envs, cfg, options, typed)

@@ -46,7 +46,9 @@ def main(argv):
         print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
     else:
         rows, figure = getattr(figures, args.name)(record.runs(args.what))
-        figures.save(args.out, args.name, figure, rows)
+        args.out.mkdir(parents=True, exist_ok=True)
+        record.write(args.out / f"{args.name}.csv", rows)
+        figure.savefig(args.out / f"{args.name}.png", dpi=150)
     return 0
 
 

@@ -27,14 +27,6 @@ LABELS = dict(
 )
 
 
-def save(out, name, figure, rows=()):
-    """Write name.png and, of rows, name.csv into the folder out."""
-    out.mkdir(parents=True, exist_ok=True)
-    if rows:
-        record.write(out / f"{name}.csv", rows)
-    figure.savefig(out / f"{name}.png", dpi=150)
-
-
 # ---- what the figures share ----
 
 

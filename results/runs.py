@@ -116,16 +116,10 @@ def runs(patterns):
             raise Refused(f"{place / RUNS} has no run {name}")
         for run in names:
             (row,) = listed[run]
-            played = by_policy(episodes[run])
-            parts = metrics.get(run, []), *played, speed.get(run, [])
+            played = grouped(episodes[run], "policy")
+            parts = metrics.get(run, []), played["pi"], played.get("prime", []), speed.get(run, [])
             found.append(Run(run, settings_of(row), row, *map(columns, parts)))
     return found
-
-
-def by_policy(rows):
-    """The rows of episodes of pi, and those of pi_prime."""
-    prime = [row for row in rows if row.get("policy") == "prime"]
-    return [row for row in rows if row.get("policy") != "prime"], prime
 
 
 def commits(row):
@@ -265,7 +259,8 @@ def add(folders, results=RESULTS, num_episodes=None):
         task = settings_of(row)["task"]
         n = num_episodes or NUM_EPISODES.get(task, 330)
         played, speeds = play(folder, task, n)
-        run = Run(folder.name, settings_of(row), row, {}, *map(columns, by_policy(played)), {})
+        mine = columns(grouped(played, "policy")["pi"])
+        run = Run(folder.name, settings_of(row), row, {}, mine, {}, {})
         row = dict(run=folder.name) | scores(run) | row
         parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
         if task == "velocity":

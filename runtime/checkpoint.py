@@ -1,6 +1,7 @@
 """checkpoint.npz: all that the next iteration depends on, and the settings to go on with."""
 
 import json
+import os
 from dataclasses import asdict
 
 import jax
@@ -36,19 +37,19 @@ def save(path, state, envs, cfg):
         for name, each in of_all.items():
             arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(surroundings=jax_setup.surroundings(), processes=jax.process_count())
+    settings |= dict(threads=os.environ.get(jax_setup.THREADS), processes=jax.process_count())
     arrays["settings"] = np.array(json.dumps(settings))
     if jax.process_index() == 0:
         run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, its `surroundings`, and how many processes there were."""
+    """Both Configs of a checkpoint, the threads that JAX had, and the number of processes."""
     arrays = run_folder.read_npz(path)
     with run_folder.reading(path):
         record = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
-        return env_cfg, eipo.Config(**cfg), record["surroundings"], record["processes"]
+        return env_cfg, eipo.Config(**cfg), record["threads"], record["processes"]
 
 
 def load(path, template, envs):

@@ -2,7 +2,6 @@
 
 import argparse
 import functools
-import math
 import signal
 import sys
 
@@ -23,18 +22,8 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
 
 
-def finite(text):
-    """A number from the command line, which argparse refuses if it is nan or infinite."""
-    if not math.isfinite(x := float(text)):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return x
-
-
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
-    from_jax_or_mujoco = "RESOURCE_EXHAUSTED", "Caught an unknown exception"
-    if isinstance(error, MemoryError) or any(x in str(error) for x in from_jax_or_mujoco):
-        return "there is too little memory: take fewer robots or episodes"
     return " ".join(str(error).split()) if isinstance(error, Refused | OSError) else None
 
 

@@ -30,7 +30,6 @@ class Options:
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
-FROM_0 = ("seed", "ground_seed", "latency", "process")  # whole numbers that may be 0
 ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
 
 tasks:
@@ -51,30 +50,21 @@ def describe(config):
 
 
 def kind_of(field):
-    """Arguments of argparse for a field, by its annotation. The word none stands for None."""
+    """Arguments of argparse for a field, by its annotation."""
     if field.type is bool:
         return dict(action=argparse.BooleanOptionalAction)
     if field.name == "task":
         return dict(choices=list(tasks.TASKS))
     if get_origin(field.type) is Literal:
         return dict(choices=get_args(field.type))
-    several = field.type is tuple
-    types = (type(field.default[0]),) if several else get_args(field.type) or (field.type,)
-    kind, *optional = types  # int | None is two of them
-
-    def value(text):
-        if optional and text == "none":
-            return None
-        least = 0 if field.name in FROM_0 else 1
-        if kind is int and int(text) < least:
-            raise argparse.ArgumentTypeError(f"{text} is too small")
-        return kind(text)
-
-    value.__name__ = kind.__name__  # what argparse calls a value that it cannot read
-    if several and kind is float:  # a range
-        return dict(type=value, nargs=2, metavar=("LOW", "HIGH"))
-    metavar = {int: "N", float: "X", str: "TEXT"}[kind]
-    return dict(type=value, nargs="+" if several else None, metavar=metavar)
+    if field.type is tuple:
+        kind = type(field.default[0])
+        shape = (
+            dict(nargs="+", metavar="N") if kind is int else dict(nargs=2, metavar=("LOW", "HIGH"))
+        )
+        return dict(type=kind) | shape
+    kind, *_ = get_args(field.type) or (field.type,)  # of int | None it is int
+    return dict(type=kind, metavar={int: "N", float: "X", str: "TEXT"}[kind])
 
 
 def parse(argv):
@@ -122,7 +112,7 @@ def check(cfg, processes=1):
     if cfg.num_envs % shares:
         what = f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have"
         raise Refused(f"{what} equal shares, so it must be a multiple of {shares}")
-    if batch == 0:
+    if batch < 1:
         raise Refused("num_minibatches is greater than num_steps * num_envs of each policy")
     if batch % processes:
         raise Refused(f"{processes} processes have no equal shares of a minibatch of {batch}")

@@ -2,7 +2,6 @@
 
 import os
 import re
-import sys
 from importlib.metadata import version
 
 import jax
@@ -30,25 +29,13 @@ def plain_products():
         os.environ["XLA_FLAGS"] = f"{flags} {YNN_OFF}"
 
 
-def surroundings():
-    """Versions and settings on which the last digits of a run depend, by name, as text."""
-    found = {package: version(package) for package in ("jax", "jaxlib", "numpy", "mujoco")}
-    settings = "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable"
-    found |= {name: str(getattr(jax.config, name)) for name in settings}
-    return found | {THREADS: os.environ.get(THREADS, "unset")}
+def set_threads(began_with):
+    """Give JAX as many threads as when the run began, or one for each core if it begins now (None).
 
-
-def restore(began_with):
-    """Give JAX as many threads as when the run began, and say what else is not as it was then.
-
-    began_with: `surroundings` of then, or {} for a new run. JAX reads the number of threads once,
-    before it computes anything, and last digits depend on it.
+    JAX reads the number once, before it computes anything, and last digits depend on it. What the
+    user has set wins.
     """
-    os.environ.setdefault(THREADS, began_with.get(THREADS, str(CORES)))
-    now = surroundings()
-    changed = [f"{x} was {was} and is {now[x]}" for x, was in began_with.items() if now[x] != was]
-    if changed:
-        print(f"train.py: last digits will differ: {', '.join(changed)}", file=sys.stderr)
+    os.environ.setdefault(THREADS, began_with or str(CORES))
 
 
 def find_device():

@@ -2,13 +2,13 @@
 
 import csv
 import os
-import re
 import sys
 import time
 
 import numpy as np
 
 from runtime import run_folder
+from runtime.command import Refused
 
 EVERY = 30  # s from one line to the next where the output is no terminal
 
@@ -17,25 +17,18 @@ class Log:
     """metrics.csv, which grows by a row in each iteration, and the line on the console."""
 
     def __init__(self, folder, done, iterations):
-        """done: iterations of the checkpoint. Later rows are dropped and will be computed again."""
+        """done: iterations of the checkpoint."""
         self.path = folder / "metrics.csv"
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
         self.first, self.shown = None, -EVERY
 
     def begin(self, header):
-        """Keep the rows up to the checkpoint, or set a file aside to which this run cannot add.
-
-        A log is not worth a run, so a damaged one, or one with other columns, does not end it.
-        """
+        """Keep the rows up to the checkpoint. What was written after it will be computed again."""
         lines = self.path.read_bytes().splitlines(True) if self.done and self.path.exists() else []
-        kept = lines[: self.done + 1]
-        if kept and (kept[0] != header or not re.match(rb"%d,.*\n$" % self.done, kept[-1])):
-            aside = self.path.with_suffix(".old.csv")
-            os.replace(self.path, aside)
-            print(f"{self.path} does not fit: it is {aside} now, and a new one begins", flush=True)
-            kept = []
-        run_folder.replace_file(self.path, lambda file: file.writelines(kept))
+        if lines and lines[0] != header:
+            raise Refused(f"{self.path} has other columns than this code: move it away")
+        run_folder.replace_file(self.path, lambda file: file.writelines(lines[: self.done + 1]))
 
     def add(self, iteration, metrics):
         """Write one row and show it. Its time counts from the last start or resumption."""

@@ -75,7 +75,7 @@ def check_same_start(*given):
     """Refuse, on all processes, if what they were given differs. What is given must suit JSON."""
     checksums = everyone(np.array([zlib.crc32(json.dumps(given).encode())]))
     if (checksums != checksums[0]).any():
-        raise Refused("the processes have different flags, versions or settings of JAX")
+        raise Refused("the processes have different flags")
 
 
 def sync_stop_and_curriculum(stop_requested, weights, before):

@@ -196,7 +196,8 @@ def write(place, *runs):
         row = dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
         rows.append(row | {f"env.{x}": json.dumps(y) for x, y in settings.items()})
     record.write(place / record.RUNS, rows)
-    record.write(place / record.EPISODES, [dict(run=name, fell=0.0) for name, *_ in runs])
+    episodes = [dict(run=name, policy="pi", fell=0.0) for name, *_ in runs]
+    record.write(place / record.EPISODES, episodes)
 
 
 def test_runs_that_count(tmp_path, capsys):

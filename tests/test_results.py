@@ -268,12 +268,12 @@ def test_velocity_keeps_speeds_over_time(short):
 
 
 def test_tables_come_out_as_they_went_in(tmp_path):
-    """Five digits, and all of a whole number. An absent or empty policy means pi."""
+    """Five digits, and all of a whole number."""
     rows = [dict(run="a", steps=3686400.0, x=1 / 3, y=np.inf), dict(run="b", policy="prime", z=2)]
     record.write(tmp_path / "t.csv.gz", rows)
     first, second = record.read(tmp_path / "t.csv.gz")
     assert first == dict(run="a", steps="3686400", x="0.33333", y="inf", policy="", z="")
-    assert record.by_policy([{}, first, second]) == ([{}, first], [second])
+    assert record.grouped([first, second], "run") == dict(a=[first], b=[second])
     assert record.columns([first]) == dict(steps=3686400, x=0.33333, y=np.inf)
 
 

@@ -317,17 +317,6 @@ def test_algorithm1_line12_the_gap_has_the_scale_of_rewards():
     assert [scaled[name] for name in ("reward", "prime_reward")] == [2, 6]
 
 
-def test_algorithm1_resumes_with_the_same_bits(with_effort):
-    """It was stopped after the first iteration and goes on with the environments as they were."""
-    states, _, _ = with_effort
-    envs = Probe(near_half, effort), Probe(near_half, effort)
-    first, _ = run(*envs, iterations=1)[1]
-    resumed = run(*envs, iterations=1, state=first)
-    assert trees_equal(resumed[0][0], first)
-    assert trees_equal(resumed[1], states[2])
-    assert [env.seeds for env in envs] == [[0], [1]]
-
-
 @pytest.mark.parametrize("algo", ["eipo", "ppo"])
 def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
     """D44. Rewards are no numbers: 2 iterations x 4 epochs x 2 minibatches are skipped, and alpha

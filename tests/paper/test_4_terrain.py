@@ -79,8 +79,8 @@ def test_feature_size(cells_per_m, points):
 
 
 def test_make_ground():
-    """Three tiles in a row along x, 120 x 360 points, each with a roughness, in that order, and with
-    noise of its own.
+    """Three tiles in a row along x, 120 x 360 points, each with its own roughness, in that order,
+    and its own noise.
 
     A resumed run and both policies of one find the same ground. Another seed makes another one,
     and so do settings.
