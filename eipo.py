@@ -236,10 +236,10 @@ def estimate(learner, tau, cost_scale, cfg):
     """
     values = value(learner.params, tau.obs, tau.privileged)
     next_values = value(learner.params, tau.next_obs, tau.next_privileged)
-    streams = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
+    r_and_f = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
     # the critic learns r and cost_scale f, which is of moderate size; line 8 mixes r and f
     unit = jnp.array([cost_scale if name == "cost" else 1.0 for name in learner.streams])
-    earned = cfg.reward_scale * unit * streams
+    earned = cfg.reward_scale * unit * r_and_f
     ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
     return Estimate(advantage=advantage / unit, target=advantage + values)

@@ -73,15 +73,15 @@ def main(argv):
     steps = play(env, pi, args.seed)
     if args.web:
         viewer.browser(env, steps, asked, args.port, args.slow or 1.0)
-    elif not args.gif:
-        viewer.window(env, steps, asked, args.slow or 1.0)
-    else:
+    elif args.gif:
         slow = args.slow or 4.0
         pictures, logs = viewer.film(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in ("v_x", "power")}
         did = viewer.caption(env, mean, asked)
         caption = f"{args.run.resolve().name}, {slow:g} times slower\n{did}"
         viewer.save_gif(args.gif, pictures, caption, round(1000 * slow * env.period))
+    else:
+        viewer.window(env, steps, asked, args.slow or 1.0)
     return 0
 
 

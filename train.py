@@ -44,7 +44,7 @@ def resumed_settings(folder, given, processes):
 
     given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, threads, was = checkpoint.load_settings(folder / "checkpoint.npz")
+    env_cfg, cfg, jax_threads, was = checkpoint.load_settings(folder / "checkpoint.npz")
     if was != processes:
         raise Refused(f"{folder} is a run on {was} process(es): --resume needs as many")
     settings = asdict(env_cfg) | asdict(cfg)
@@ -52,7 +52,7 @@ def resumed_settings(folder, given, processes):
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
             what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
             raise Refused(f"{what}: --resume can only raise iterations")
-    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), threads
+    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), jax_threads
 
 
 def make_envs(env_cfg, cfg, threads):

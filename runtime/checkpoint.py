@@ -37,7 +37,7 @@ def save(path, state, envs, cfg):
         for name, each in of_all.items():
             arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(threads=os.environ.get(jax_setup.THREADS), processes=jax.process_count())
+    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), processes=jax.process_count())
     arrays["settings"] = np.array(json.dumps(settings))
     if jax.process_index() == 0:
         run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
@@ -49,7 +49,7 @@ def load_settings(path):
     with run_folder.reading(path):
         record = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
-        return env_cfg, eipo.Config(**cfg), record["threads"], record["processes"]
+        return env_cfg, eipo.Config(**cfg), record["jax_threads"], record["processes"]
 
 
 def load(path, template, envs):

@@ -59,10 +59,9 @@ def kind_of(field):
         return dict(choices=get_args(field.type))
     if field.type is tuple:
         kind = type(field.default[0])
-        shape = (
-            dict(nargs="+", metavar="N") if kind is int else dict(nargs=2, metavar=("LOW", "HIGH"))
-        )
-        return dict(type=kind) | shape
+        several = dict(nargs="+", metavar="N")
+        low_and_high = dict(nargs=2, metavar=("LOW", "HIGH"))
+        return dict(type=kind) | (several if kind is int else low_and_high)
     kind, *_ = get_args(field.type) or (field.type,)  # of int | None it is int
     return dict(type=kind, metavar={int: "N", float: "X", str: "TEXT"}[kind])
 
