@@ -296,7 +296,7 @@ def step_alpha(dual, gap, cfg):
     dL/dalpha is -gap, where the paper prints +gap (D2), so alpha is pushed up while pi is the worse
     one. Momentum is that of torch's SGD: alpha lags behind the gap, and a steady gradient counts
     1 / (1 - momentum_alpha) times. Where alpha would fall below 0, it becomes 0 and loses its
-    momentum. If the gap is not finite, both stay (D44).
+    momentum. If the gap is not finite, both stay (D36).
     """
     if not np.isfinite(gap):
         return dual

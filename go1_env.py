@@ -172,7 +172,7 @@ class Go1Env:
         state.age += 1
         motion = go1.motion(self.qpos, self.qvel)
         # MuJoCo resets a simulation that is not finite and counts a warning. Any warning ends the
-        # episode, and this step has reward 0 and cost 0 (D44).
+        # episode, and this step has reward 0 and cost 0 (D36).
         diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
         state.action[diverged] = 0.0  # the action may be what was not finite
         velocity = motion.heading

@@ -106,7 +106,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
 
 
 def shuffled(key, size, cfg):
-    """Indices (epochs * minibatches, samples): every epoch has an order of its own (D41).
+    """Indices (epochs * minibatches, samples): every epoch has an order of its own (D31).
 
     Samples left over after an equal split are dropped for that epoch.
     """

@@ -20,7 +20,7 @@ from results.runs import KINDS, LAMBDAS, by_group, score_of, task_of
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
-HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D45)
+HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
 BOTTOM = dict(flat=1.2, rough=0.8)  # of the axis: runs that stand are far below the others
 LABELS = dict(
     performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
@@ -191,7 +191,7 @@ def fig6(runs):
     """Speed over time on velocity, of the robots that have not fallen. Section VI.
 
     A line is a seed, and a thick one the mean of a kind. Dotted lines are the peaks of the paper's
-    robot (D45).
+    robot (D37).
     """
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")

@@ -326,7 +326,7 @@ def test_the_next_step_depends_on_nothing_but_the_state(task, reward, tmp_path):
     assert same_bits(run(env, actions[3:]), run(fresh, actions[3:]))
 
 
-# ---- a simulation that blows up (D44) ----
+# ---- a simulation that blows up (D36) ----
 
 
 def poison(env, action, what, robot=1):

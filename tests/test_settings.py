@@ -39,7 +39,7 @@ def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, it
 def test_paper_settings_of_every_task():
     """IV-C: networks, 24 steps a rollout, 5 epochs, 4 minibatches, clipping; alpha's 0.01, 1
     and 0.99; V-A: 1000 steps. D5, D10: discount, GAE's lambda, PPO's clip range and the scale are
-    the lab's. D20, D21, D40: Adam's step and the KL at which it aims, no entropy bonus, and noise
+    the lab's. D20, D21, D39: Adam's step and the KL at which it aims, no entropy bonus, and noise
     with a deviation of exp(0) at the start.
     """
     cfg = eipo.Config()

@@ -350,7 +350,7 @@ def test_power_limit_is_of_the_control_step(limit, ends):
 
 
 def test_a_touch_in_one_physics_step_of_four_is_a_fall():
-    """D36. Robot 0's trunk touches the ground in the first one alone. Its feet, which were up for
+    """D13. Robot 0's trunk touches the ground in the first one alone. Its feet, which were up for
     long, begin the next episode with one step.
     """
     env = quiet(reward="shaped")

@@ -319,7 +319,7 @@ def test_algorithm1_line12_the_gap_has_the_scale_of_rewards():
 
 @pytest.mark.parametrize("algo", ["eipo", "ppo"])
 def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
-    """D44. Rewards are no numbers: 2 iterations x 4 epochs x 2 minibatches are skipped, and alpha
+    """D36. Rewards are no numbers: 2 iterations x 4 epochs x 2 minibatches are skipped, and alpha
     stays where it is.
     """
     env, env_prime = Probe(lambda x, t, a: np.nan * x, effort), Probe(near_half, effort)

@@ -299,7 +299,7 @@ def test_a_mirrored_observation_gets_a_mirrored_action():
 
 @pytest.mark.parametrize("is_mirrored", [True, False])
 def test_the_plain_policy_is_the_same_policy(is_mirrored):
-    """On what the robot sees, policy.py has the same means and estimates, without noise (D42), and
+    """On what the robot sees, policy.py has the same means and estimates, without noise (D32), and
     the mirror has half of its weights. IV-C.b: actor and critic have the same hidden widths.
     """
     env, params = new_policy(is_mirrored)
@@ -406,7 +406,7 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, advantage=None, target=N
     ("log_std", "std"), [(-10.0, 0.018), (10.0, 2.7), (-3.9, 0.020), (0.9, 2.5)]
 )
 def test_algorithm1_line09_ppo_keeps_the_noise_in_its_range(log_std, std):
-    """D40. Deviations stay within 0.018 and 2.7. lr = 0 moves nothing but what is out of range.
+    """D39. Deviations stay within 0.018 and 2.7. lr = 0 moves nothing but what is out of range.
 
     It is put back after the step. In the forward pass that would stop the gradient that leads back.
     """
@@ -451,7 +451,7 @@ def test_algorithm1_line09_ppo_normalises_over_steps_and_robots_together(axis):
 
 
 def test_algorithm1_line09_ppo_shuffles_the_minibatches():
-    """D41. Of 131 samples each of 4 epochs puts 130 into 2 minibatches, none twice and in an order
+    """D31. Of 131 samples each of 4 epochs puts 130 into 2 minibatches, none twice and in an order
     of its own. Another key draws other minibatches.
     """
     orders = np.asarray(ppo.shuffled(KEY, 131, EIPO.ppo_cfg))

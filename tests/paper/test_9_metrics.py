@@ -80,7 +80,7 @@ def test_peak_velocity_is_of_the_first_episode(episodes):
 
 
 def test_the_world_that_is_measured():
-    """D25, D42. 20 s of one command, the paper's reward over ground, ground of its own; the rest as
+    """D25, D32. 20 s of one command, the paper's reward over ground, ground of its own; the rest as
     in training.
     """
     usual = dict(noise=0.5, start_spread=0.25, clip="torque")
