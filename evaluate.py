@@ -6,6 +6,7 @@ drawn, as in training, but the ground is new. Every policy starts from the same 
 figures are drawn by `python -m results`.
 """
 
+import math
 import os
 import sys
 from dataclasses import replace
@@ -21,11 +22,11 @@ from scipy import stats
 import go1_env
 import tasks
 from runtime import run_folder
-from runtime.command import Parser, command
+from runtime.cli import Parser, program
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
-SLOW = 0.05  # m/s, mean speed up to which robots do not move ahead
+SLOW = 0.05  # m/s, a robot whose mean speed ahead is at most this one counts as standing
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
 
@@ -91,18 +92,17 @@ def run_episodes(policy, env):
         obs, reward, terminated, truncated, info = env.step(policy(obs))
         steps.append((alive, reward, info["log"]["v_x"], info["log"]["power"]))
         fell |= alive & terminated
-        alive = alive & ~(terminated | truncated)
+        alive = alive & ~(terminated | truncated)  # a new array: `steps` holds the old one
     alive, *series = map(np.stack, zip(*steps, strict=True))  # (T, N) each
-    reward, v_x, power = (np.where(alive, x, 0.0) for x in series)
-    length = alive.sum(0)
+    reward, v_x, power = (np.where(alive, x, np.nan) for x in series)
     episodes = Episodes(
-        performance=reward.sum(0) / len(alive),
+        performance=np.nansum(reward, 0) / len(alive),
         fell=fell,
-        v_x=v_x.sum(0) / length,
-        power=power.sum(0) / length,
-        peak=np.where(alive, v_x, -np.inf).max(0),
+        v_x=np.nanmean(v_x, 0),
+        power=np.nanmean(power, 0),
+        peak=np.nanmax(v_x, 0),
     )
-    return episodes, np.where(alive, v_x, np.nan)
+    return episodes, v_x
 
 
 # ---- numbers ----
@@ -169,14 +169,14 @@ def evaluate(folder, args):
     """
     pi, env_cfg = load(folder, args.clip, prime=args.prime)
     commands = commands_of(env_cfg.task)
-    asked = np.tile(commands, (-(-args.episodes // len(commands)), 1))  # equally many of each
+    asked = np.tile(commands, (math.ceil(args.episodes / len(commands)), 1))  # as many of each
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
     row = dict(episodes=len(asked)) | {"95 % from": low, "to": high}
     return row | numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
 
 
-@command("evaluate.py")
+@program("evaluate.py")
 def main(argv):
     """Evaluate and print; returns the exit status."""
     parser = Parser("evaluate.py", __doc__.split("\n\n")[0])

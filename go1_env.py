@@ -41,8 +41,8 @@ class Part(NamedTuple):
 
 
 # The observation, Section IV-C.a: the last H frames, oldest first, and right after a reset H times
-# the first one (D16). A frame is all that a robot can measure and has been told. The mirrored
-# robot's clock is half a period later, as in a trot.
+# the first one (D16). A frame is what a robot measures at one moment, its command, its
+# previous action and its clock. The mirrored robot's clock is half a period later, as in a trot.
 JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
 FRAME = dict(
     gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
@@ -56,11 +56,8 @@ WIDTHS = [len(part.mirror[0]) for part in FRAME.values()]
 FRAME_WIDTH = sum(WIDTHS)
 FRAME_SCALE = np.concatenate([np.ones(len(part.mirror[0])) * part.scale for part in FRAME.values()])
 FRAME_NOISE = np.repeat([part.noise for part in FRAME.values()], WIDTHS)
-FRAME_MIRROR = (
-    np.concatenate([part.mirror[0] for part in FRAME.values()])
-    + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS),
-    np.concatenate([part.mirror[1] for part in FRAME.values()]),
-)
+index, sign = map(np.concatenate, zip(*(part.mirror for part in FRAME.values()), strict=True))
+FRAME_MIRROR = index + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS), sign
 
 
 class Physics(NamedTuple):
@@ -77,7 +74,8 @@ class Go1Env:
     num_envs: N, at least 1
     env_cfg:  see tasks.Config
     threads:  C++ threads; None takes every core that this process may use
-    commands: of tasks.py, which environments may share: tasks.Given, or None for the task's own
+    commands: the object of tasks.py that draws commands, which several environments may share;
+              None: a new one of the task
     """
 
     action_size = 12
@@ -149,7 +147,7 @@ class Go1Env:
         self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
-            self._observe_first(np.arange(self.num_envs))
+            self._observe_first(np.arange(self.num_envs))  # again, because the clock shows the age
         return self.observe()[0], {}
 
     def observe(self):
@@ -272,8 +270,7 @@ class Go1Env:
 
     def _log(self, motion, power, task_reward):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
-        asked = self.state.command[:, 0].copy()
-        log = dict(v_x=motion.heading[:, 0], power=power, command_x=asked)
+        log = dict(v_x=motion.heading[:, 0], power=power, command_x=self.state.command[:, 0].copy())
         if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=task_reward)
         if self.commands.weights.size:
@@ -299,7 +296,7 @@ class Go1Env:
     def _next_command(self, ids):
         """New commands for the robots `ids`, and a record of how they followed the old ones."""
         state = self.state
-        followed = state.kernels[ids] / self.env_cfg.command_steps
+        followed = state.kernels[ids] / self.env_cfg.command_steps  # 0 for the rest after a fall
         self.commands.record(state.command[ids], followed)
         state.command[ids] = self.commands.draw(self.rng, ids)
         state.kernels[ids] = 0.0

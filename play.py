@@ -24,7 +24,7 @@ import numpy as np
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.command import Parser, command
+from runtime.cli import Parser, program
 
 
 def make_env(env_cfg, asked):
@@ -47,8 +47,9 @@ def play(env, pi, seed=0):
         yield info["log"]
 
 
-def parse(argv):
-    """The arguments of the command line."""
+@program("play.py")
+def main(argv):
+    """Play or draw; returns the exit status."""
     parser = Parser("play.py", __doc__.splitlines()[0])
     add = parser.add_argument
     add("run", metavar="RUN", type=Path, help="run folder with a policy.npz")
@@ -58,15 +59,9 @@ def parse(argv):
     add("--seed", type=int, default=0, help="of the world (default: 0)")
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
     asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
-    add("--command", **asked, help="m/s, m/s, rad/s (default: the task's greatest)")
+    add("--command", **asked, help="m/s, m/s, rad/s (default: the task's example)")
     add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
-    return parser.parse_args(argv)
-
-
-@command("play.py")
-def main(argv):
-    """Play or draw; returns the exit status."""
-    args = parse(argv)
+    args = parser.parse_args(argv)
     pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
     asked = np.array(args.command or tasks.TASKS[env_cfg.task].commands().example, float)
     env = make_env(env_cfg, asked)

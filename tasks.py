@@ -13,7 +13,8 @@ from scipy.ndimage import convolve
 
 import rewards
 
-# ---- commands: objects with `draw`, `record`, `start`, `weights` and, of a task, an `example` ----
+# ---- commands: objects with `draw`, `record`, `start`, `weights` and, of a task, an `example`, and
+# `low` and `high`, between which one may ask for something in the viewer ----
 
 
 class Range:
@@ -55,8 +56,9 @@ class Grid:
     Each cell of a grid over forward velocity and yaw rate has a weight. At first it is 1 where both
     are within [-1, 1], and 0 elsewhere. Commands are drawn from the cells in proportion to their
     weights. A robot that followed its command well for ten seconds raises the weight of the
-    command's cell and of the eight around it. So the region of commands grows at its edge, in the
-    directions in which the robot is already good. Weights never fall.
+    command's cell and of the eight around it. (After a fall nothing more is earned, and what was
+    earned may suffice.) So the region of commands grows at its edge, in the directions in which the
+    robot is already good. Weights never fall.
     """
 
     # ends of v_x [m/s], v_y [m/s] and yaw rate [rad/s]; v_y is drawn from all of it from the start
@@ -126,7 +128,7 @@ class Task(NamedTuple):
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
 # on `velocity`. Where lambda_0 is so large that pi would stand still for much of a run, alpha takes
 # larger steps than the paper's 0.01 (D38). On `velocity` standing still earns nothing, so pi soon
-# leaves it, and fewer robots do.
+# leaves it, and half as many robots are enough.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
@@ -216,18 +218,18 @@ def task_config(task="flat", **changes):
     return Config(**dict(task=task) | TASKS[task].world | changes)
 
 
-def tuples(record):
-    """The record with its lists turned into tuples, which neither argparse nor JSON makes."""
-    return {name: tuple(x) if isinstance(x, list) else x for name, x in record.items()}
+def tuples(settings):
+    """The settings with lists turned into tuples, which neither argparse nor JSON makes."""
+    return {name: tuple(x) if isinstance(x, list) else x for name, x in settings.items()}
 
 
-def read_config(record):
+def read_config(settings):
     """The Config of a dict that comes from JSON.
 
     ValueError if its fields are not those of Config, or if there is no such task.
     """
-    if other := {f.name for f in fields(Config)} ^ record.keys():
+    if other := {f.name for f in fields(Config)} ^ settings.keys():
         raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
-    if record["task"] not in TASKS:
-        raise ValueError(f"there is no task {record['task']}")
-    return Config(**tuples(record))
+    if settings["task"] not in TASKS:
+        raise ValueError(f"there is no task {settings['task']}")
+    return Config(**tuples(settings))

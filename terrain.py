@@ -23,12 +23,6 @@ def fade(t):
     return t**3 * (t * (6 * t - 15) + 10)
 
 
-def random_gradients(rng, cells):
-    """Random unit vectors (cells, cells, 2), for the points of a periodic lattice."""
-    angle = rng.uniform(0, 2 * np.pi, (cells, cells))
-    return np.stack([np.cos(angle), np.sin(angle)], -1)
-
-
 def perlin(x, y, gradients):
     """Perlin noise (...,) [-]: planes through 0 at a cell's four corners, faded into each other.
 
@@ -52,7 +46,9 @@ def perlin(x, y, gradients):
 
 def tile(rng, roughness, cells_per_m=4):
     """Heights (n, n) [m] of a tile, n = TILE / SPACING; roughness: [m] from lowest to highest."""
-    gradients = random_gradients(rng, round(TILE * cells_per_m))
+    cells = round(TILE * cells_per_m)
+    angle = rng.uniform(0, 2 * np.pi, (cells, cells))
+    gradients = np.stack([np.cos(angle), np.sin(angle)], -1)  # random unit vectors
     along = cells_per_m * SPACING * np.arange(round(TILE / SPACING))
     noise = perlin(*np.meshgrid(along, along, indexing="ij"), gradients)
     return roughness * noise / np.ptp(noise)

@@ -28,7 +28,7 @@ import go1_env
 import tasks
 from mirror import Mirrored, plain_policy
 from runtime import checkpoint, jax_setup, metrics, parallel, run_folder
-from runtime.command import Refused, StopRequest, command
+from runtime.cli import Refused, StopRequest, program
 from runtime.flags import Options, check, parse, settle
 
 
@@ -82,7 +82,7 @@ def save(folder, state, envs, shown, cfg):
         print(f"train.py: no picture of {folder}: {error!r}", file=sys.stderr, flush=True)
 
 
-def train(folder, envs, cfg, options, command):
+def train(folder, envs, cfg, options, typed):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
     env_cfg = envs[0].env_cfg
     shown = [Mirrored(env) for env in envs] if cfg.mirror else envs
@@ -101,9 +101,10 @@ def train(folder, envs, cfg, options, command):
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
-        if is_main and not stop:  # before, there is nothing to record
-            run_folder.save_config(folder, env_cfg, cfg, command, options.resume)
-        stop = stop or StopRequest()
+        if stop is None:  # the first iteration is done: from now on there is something to keep
+            stop = StopRequest()
+            if is_main:
+                run_folder.save_config(folder, env_cfg, cfg, typed, options.resume)
         stopped = parallel.sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs
         row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
@@ -131,7 +132,7 @@ def prepare(options, given_env, given_learner):
     return folder, env_cfg, cfg
 
 
-@command("train.py")
+@program("train.py")
 def main(argv):
     """Parse, train, report. Returns the exit status."""
     jax_setup.plain_products()

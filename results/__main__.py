@@ -17,15 +17,14 @@ from pathlib import Path
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
-from results import claims, figures
-from results import runs as record
-from runtime.command import Parser, command
+from results import claims, figures, tables
+from runtime.cli import Parser, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
 TABLES = "summary", "table"
 
 
-@command("results")
+@program("python -m results")
 def main(argv):
     """Do what the command line says; returns the exit status."""
     parser = Parser("python -m results", __doc__)
@@ -33,21 +32,21 @@ def main(argv):
     add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
     add("--out", type=Path, default=Path(), help="folder for PNG and CSV")
-    add("--results", type=Path, default=record.RESULTS, help="folder of the tables")
+    add("--results", type=Path, default=tables.RESULTS, help="folder of the tables")
     add("--episodes", type=int, help="to play, per policy and kind of start")
     args = parser.parse_args(argv)
-    if not args.what and args.name != "claims":
-        parser.error(f"{args.name} takes at least one argument")
+    if bool(args.what) == (args.name == "claims"):
+        parser.error(f"{args.name} takes {'no' if args.what else 'at least one'} argument")
     if args.name == "add":
-        record.add(args.what, args.results, args.episodes)
+        tables.add(args.what, args.results, args.episodes)
     elif args.name in TABLES:
-        print(*getattr(claims, args.name)(record.runs(args.what)), sep="\n")
+        print(*getattr(claims, args.name)(tables.runs(args.what)), sep="\n")
     elif args.name == "claims":
         print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
     else:
-        rows, figure = getattr(figures, args.name)(record.runs(args.what))
+        rows, figure = getattr(figures, args.name)(tables.runs(args.what))
         args.out.mkdir(parents=True, exist_ok=True)
-        record.write(args.out / f"{args.name}.csv", rows)
+        tables.write(args.out / f"{args.name}.csv", rows)
         figure.savefig(args.out / f"{args.name}.png", dpi=150)
     return 0
 

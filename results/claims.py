@@ -10,16 +10,17 @@ import numpy as np
 from scipy import stats
 
 import evaluate
-from results import runs as record
+from results import tables
 from results.figures import TABLE1
-from results.runs import KINDS, by_group, score_of, task_of
-from runtime.command import Refused
+from results.tables import KINDS, by_group, score_of, task_of
+from runtime.cli import Refused
 
 SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
 TASKS = "flat", "rough", "velocity"
 # A margin is of a difference, or of the logarithm of a ratio.
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
+HEADINGS = dict(performance="score", peak="peak [m/s]")  # of the column with the score
 PPO = KINDS[1:]
 OTHERS = [ppo for ppo in PPO if ppo not in ("PPO(0)", "PPO(0.005)")]  # these two are rows 1 to 3
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
@@ -74,7 +75,7 @@ def promise(task):
         yield "-", task, "power", ALL, ppo, "PPO(0)", ""
 
 
-def counted(results=record.RESULTS):
+def counted(results=tables.RESULTS):
     """The runs that count, by group and kind, in which "pi' of EIPO" is a kind, too. Of the groups
     of a task the one with the longest runs comes first.
 
@@ -82,17 +83,17 @@ def counted(results=record.RESULTS):
     """
     found = {}
     for place in (results / task for task in TASKS):
-        runs = record.runs([place / "*"]) if (place / record.RUNS).exists() else []
+        runs = tables.runs([place / "*"]) if (place / tables.RUNS).exists() else []
         runs = [run for run in runs if run.settings["seed"] in SEEDS]
         runs.sort(key=lambda run: -run.settings["iterations"])
         found |= by_group(runs)
     for kinds in found.values():
-        commits = {x for arm in kinds.values() for run in arm for x in record.commits(run.row)}
+        commits = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
         if len(commits) > 1:
             raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
     if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
-    return {group: record.with_primes(kinds) for group, kinds in found.items()}
+    return {group: tables.with_primes(kinds) for group, kinds in found.items()}
 
 
 # ---- two arms by one number of each seed ----
@@ -149,35 +150,34 @@ def paired(kinds, left, right):
     return [left[seed] for seed in seeds], [right[seed] for seed in seeds]
 
 
-def decide(sides, name, claimed, commands=ALL):
+def decide(arms, name, claimed, commands=ALL):
     """The Comparison of two arms by one of evaluate.numbers, or None, and the verdict.
 
-    sides: of `paired`; commands: v_x from ... to ... [m/s]
+    arms: of `paired`; commands: v_x from ... to ... [m/s]
     """
     low, high = commands
 
     def number(run):
-        e = record.evaluation(run)
+        e = tables.evaluation(run.episodes)
         mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
-        return evaluate.numbers(record.where(mine, e))[name]
+        return evaluate.numbers(tables.where(mine, e))[name]
 
-    if len(sides[0]) < 3:
+    if len(arms[0]) < 3:
         return None, "not tested"
-    x, y = (np.array([number(run) for run in side]) for side in sides)
+    x, y = (np.array([number(run) for run in arm]) for arm in arms)
     if not np.isfinite([x, y]).all():
         return None, "no verdict, a run stands"
     compared = compare(x, y, name in RATIOS)
     return compared, verdict(compared, claimed, MARGINS[name])
 
 
-def at_every_command(sides, name, claimed):
+def at_every_command(arms, name, claimed):
     """The verdict on a claim about each of the eleven commands, and where it is what."""
-    words = [decide(sides, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
+    words = [decide(arms, name, claimed, (x / 10, x / 10))[1] for x in range(11)]
     if "not tested" in words:
         return "not tested"
     plain = {word.split(",")[0] for word in words}
-    whole = "reversed" if "reversed" in plain else "undecided"
-    whole = "holds" if plain == {"holds"} else whole
+    whole = "holds" if plain == {"holds"} else "reversed" if "reversed" in plain else "undecided"
     counts = (f"{words.count(word)} {word}" for word in dict.fromkeys(words))
     return f"{whole} (of 11 commands: {'; '.join(counts)})"
 
@@ -201,11 +201,11 @@ def group_lines(group, kinds):
         where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
         where = "" if commands == ALL else where
         what = f"{group}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
-        sides = paired(kinds, left, right)
+        arms = paired(kinds, left, right)
         if commands == EVERY:
-            compared, word = None, at_every_command(sides, name, claimed)
+            compared, word = None, at_every_command(arms, name, claimed)
         else:
-            compared, word = decide(sides, name, claimed, commands)
+            compared, word = decide(arms, name, claimed, commands)
         if word == "not tested":
             continue
         cells = shown(compared, name) if compared else ("", "")
@@ -213,7 +213,7 @@ def group_lines(group, kinds):
             size = TABLE1[left] - TABLE1[right]
             inside = compared.wide[0] <= size <= compared.wide[1]
             word += f"; the paper's {size:+.2f} is {'inside' if inside else 'outside'}"
-        yield f"| {number} | {what} | {claimed} | {len(sides[0])} | {' | '.join(cells)} | {word} |"
+        yield f"| {number} | {what} | {claimed} | {len(arms[0])} | {' | '.join(cells)} | {word} |"
 
 
 def shown(compared, name):
@@ -231,22 +231,12 @@ def shown(compared, name):
 def summary(runs):
     """Yields a line of Markdown for each kind of run, with what one can keep in mind."""
     for group, kinds in by_group(runs).items():
-        yield f"| {group} | {heading(group)} | power | fell | seeds |"
+        yield f"| {group} | {HEADINGS[score_of(group)]} | power | fell | seeds |"
         yield "|---" * 5 + "|"
         for kind, arm in kinds.items():
-            _, mean = record.means(arm)
-            score = f"{mean[score_of(group)]:.2f}"
-            yield f"| {kind} | {score} | {power_and_falls(mean)} | {len(arm)} |"
-
-
-def heading(group):
-    """Of the column with the score."""
-    return "peak [m/s]" if score_of(group) == "peak" else "score"
-
-
-def power_and_falls(mean):
-    """Two cells."""
-    return f"{mean['power']:.0f} W | {100 * mean['fell']:.1f} %"
+            _, mean = tables.means(arm)
+            score, power, fell = (mean[x] for x in (score_of(group), "power", "fell"))
+            yield f"| {kind} | {score:.2f} | {power:.0f} W | {100 * fell:.1f} % | {len(arm)} |"
 
 
 def table(runs):
@@ -255,15 +245,15 @@ def table(runs):
     """
     for group, kinds in by_group(runs).items():
         names = "power", "fell", "from nominal", "energy", "last alpha", "each seed"
-        yield f"| {' | '.join((group, heading(group), *names))} |"
+        yield f"| {' | '.join((group, HEADINGS[score_of(group)], *names))} |"
         yield "|---" * 8 + "|"
-        for kind, arm in record.with_primes(kinds).items():
+        for kind, arm in tables.with_primes(kinds).items():
             if kind.startswith("pi' of EIPO "):  # the same as without the lambda_0, if seeds are
                 continue
-            each, mean = record.means(arm)
+            each, mean = tables.means(arm)
             scores = each[score_of(group)]
-            cells = [kind, f"{scores.mean():.3f}", power_and_falls(mean)]
-            cells += [f"{100 * mean['fell_nominal']:.1f} %"]
+            cells = [kind, f"{scores.mean():.3f}", f"{mean['power']:.0f} W"]
+            cells += [f"{100 * mean[x]:.1f} %" for x in ("fell", "fell_nominal")]
             cells += [f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"]
             alphas = [run.metrics["alpha"][-1] for run in arm] if kind.startswith("EIPO") else []
             cells += [", ".join(f"{x:.0f}" for x in alphas)]

@@ -15,13 +15,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 import evaluate
-from results import runs as record
-from results.runs import KINDS, LAMBDAS, by_group, score_of, task_of
+from results import tables
+from results.tables import KINDS, LAMBDAS, by_group, score_of, task_of
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
-BOTTOM = dict(flat=1.2, rough=0.8)  # of the axis: runs that stand are far below the others
+# a number of a CSV, its interval over episodes, and that over seeds
+ENDS = "", "_low", "_high", "_seeds_low", "_seeds_high"
+BOTTOM = dict(flat=1.2, rough=0.8)  # of the score's axis, which leaves out runs that stand
 LABELS = dict(
     performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
 )
@@ -45,47 +47,41 @@ def style(name):
 
 
 def summarise(name, by_seed, statistic=np.mean):
-    """Columns of a CSV: a statistic, its intervals over episodes and seeds, the number of episodes.
+    """Columns of a CSV: a statistic, and its intervals over episodes and over seeds.
 
     by_seed:   one array per seed, (episodes,), or (k, episodes) for a statistic of k numbers of an
-               episode; an episode with a number that is not finite does not count
+               episode
     statistic: of k arrays (..., episodes), with an argument axis, as np.mean
     """
     by_seed = [np.atleast_2d(x) for x in by_seed]
-    by_seed = [x[:, np.isfinite(x).all(0)] for x in by_seed]
-    by_seed = [x for x in by_seed if x.size]
-    columns = [f"{name}{part}" for part in ("", "_low", "_high", "_seeds_low", "_seeds_high")]
-    if not by_seed:
-        return dict.fromkeys(columns, np.nan) | {f"{name}_n": 0}
 
     def of_seeds(drawn):
         return statistic(*np.hstack([by_seed[i] for i in drawn]), axis=-1)
 
     seeds = np.arange(len(by_seed))
-    pooled = np.hstack(by_seed)
-    over_episodes = evaluate.interval(pooled, statistic, batch=100)
+    over_episodes = evaluate.interval(np.hstack(by_seed), statistic, batch=100)
     over_seeds = evaluate.interval([seeds], of_seeds, vectorized=False)
     numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
-    return dict(zip(columns, numbers, strict=True)) | {f"{name}_n": pooled.shape[1]}
+    return dict(zip([name + end for end in ENDS], numbers, strict=True))
 
 
 def by_command(group, kinds, commands, columns, statistic=np.mean):
     """Rows of a CSV: for each kind of run and each command (n, 3), a statistic of some columns of
     Episodes from random starts, with its intervals. "energy" is energy per metre.
 
-    group, kinds: of `runs.by_group`
+    group, kinds: of `tables.by_group`
     """
     rows = []
-    for name, seeds in kinds.items():
+    for name, arm in kinds.items():
         for command in commands:
             each = [
-                record.where(np.isclose([e[x] for x in record.ASKED], command[:, None]).all(0), e)
-                for e in map(record.evaluation, seeds)
+                tables.where(np.isclose([e[x] for x in tables.ASKED], command[:, None]).all(0), e)
+                for e in (tables.evaluation(run.episodes) for run in arm)
             ]
             n = min(len(e["fell"]) for e in each)  # so that every seed counts as much
             each = [{column: x[:n] for column, x in e.items()} for e in each]
             row = dict(group=group, run=name, v_x_asked=command[0], yaw_asked=command[2])
-            row |= dict(seeds=len(seeds), episodes=n, fell=np.mean([e["fell"] for e in each]))
+            row |= dict(seeds=len(arm), episodes=n, fell=np.mean([e["fell"] for e in each]))
             for column in columns:
                 names = ("power", "v_x") if column == "energy" else (column,)
                 of = evaluate.energy_per_metre if column == "energy" else statistic
@@ -97,9 +93,9 @@ def by_command(group, kinds, commands, columns, statistic=np.mean):
 def panels_by(column, rows, num_panels):
     """A Figure with panels one above the other for each group of rows.
 
-    Returns the Figure and [(what the rows of a group have in the column, they, its Axes), ...].
+    Returns the Figure and [(value of the column, the rows that have it, their Axes), ...].
     """
-    groups = record.grouped(rows, column)
+    groups = tables.grouped(rows, column)
     figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
     panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
     for name, (top, *_) in zip(groups, panels, strict=True):
@@ -122,10 +118,9 @@ def draw_lines(axes, rows, column):
     """Draw each kind of run over the command v_x: its mean, its interval over episodes and,
     lighter, over seeds.
     """
-    for name, mine in record.grouped(rows, "run").items():
-        ends = "", "_low", "_high", "_seeds_low", "_seeds_high"
+    for name, mine in tables.grouped(rows, "run").items():
         at, mean, *bands = (
-            [row[x] for row in mine] for x in ("v_x_asked", *(column + x for x in ends))
+            [row[x] for row in mine] for x in ("v_x_asked", *(column + end for end in ENDS))
         )
         look = style(name)
         axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **look)
@@ -170,9 +165,9 @@ def fig4(runs):
 def fig5(runs):
     """Task performance and power over commands of v_x and yaw rate. Section V-E."""
     ((group, kinds),) = by_group(runs, "curriculum").items()
-    rows = by_command(group, kinds, record.GRID, ("performance", "power"))
+    rows = by_command(group, kinds, tables.GRID, ("performance", "power"))
     figure, panels = panels_by("run", rows, 2)
-    v_x, yaw = record.GRID[::11, 0], record.GRID[:11, 2]
+    v_x, yaw = tables.GRID[::11, 0], tables.GRID[:11, 2]
     for i, column in enumerate(("performance", "power")):
         values = np.array([row[column] for row in rows]).reshape(-1, 11, 11)
         line = [all_axes[i] for _, _, all_axes in panels]
@@ -197,16 +192,16 @@ def fig6(runs):
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
     ((group, kinds),) = by_group([run for run in runs if run.speed], "velocity").items()
-    for name, seeds in kinds.items():
-        time = seeds[0].speed["time"]
-        speeds = {run.name: run.speed["v_x"] for run in seeds}
+    for name, arm in kinds.items():
+        time = arm[0].speed["time"]
+        speeds = {run.name: run.speed["v_x"] for run in arm}
         speeds["mean"] = np.mean(list(speeds.values()), 0)
         color = style(name)["color"]
         for seed, v_x in speeds.items():
             axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
             about = dict(group=group, kind=name, run=seed)
             rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
-        axes.plot(time, v_x, color=color, linewidth=2, label=f"{name}, n = {len(seeds)}")
+        axes.plot(time, v_x, color=color, linewidth=2, label=f"{name}, n = {len(arm)}")
     for name, peak in HARDWARE.items():
         axes.axhline(peak, color="black", linestyle=":", linewidth=1)
         axes.text(time[-1], peak, f"{name}, the paper's robot", ha="right", va="bottom", fontsize=7)
@@ -259,11 +254,11 @@ def tradeoff(runs):
     panels = figure.subplots(1, len(groups), squeeze=False, sharex=one_task, sharey=one_task)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
         score = score_of(group)
-        for name, arm in record.with_primes(kinds).items():
+        for name, arm in tables.with_primes(kinds).items():
             look = style(name.removeprefix("pi' of "))
             look["edgecolors"] = look.pop("color")
             look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
-            each, _ = record.means(arm)
+            each, _ = tables.means(arm)
             x, y = each[score], each["power"]
             axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
             axes.scatter(x.mean(), y.mean(), 60, label=f"{name}, n = {len(arm)}", **look)
@@ -291,7 +286,7 @@ def alpha(runs):
         for name, arm in kinds.items():
             algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
             if algo == "ppo" and lam > 0:
-                mean = record.means(arm)[1]
+                mean = tables.means(arm)[1]
                 label = f"{name}: {mean[score_of(group)]:.2f} on {mean['power']:.0f} W"
                 axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
                 at = dict(xycoords=("axes fraction", "data"), ha="right", va="bottom")

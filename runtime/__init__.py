@@ -6,5 +6,5 @@ viewer.py       a robot as MuJoCo draws it
 metrics.py      the numbers of a run, its line on the console, its pictures
 jax_setup.py    what JAX computes with, and on what the last digits of a run depend
 parallel.py     how several processes share it
-command.py      how the commands speak and end
+cli.py          how the commands speak and end
 """

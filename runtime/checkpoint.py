@@ -15,9 +15,9 @@ from runtime import jax_setup, parallel, run_folder
 
 def saved(env):
     """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    # of one length on all processes
+    # padded, because `everyone` needs one length on all processes
     rng = np.array(json.dumps(env.rng.bit_generator.state), "U256")
-    return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
+    return vars(env.state) | dict(rng=rng)
 
 
 def restore_env(env, arrays):
@@ -47,9 +47,9 @@ def load_settings(path):
     """Both Configs of a checkpoint, the threads that JAX had, and the number of processes."""
     arrays = run_folder.read_npz(path)
     with run_folder.reading(path):
-        record = json.loads(str(arrays["settings"]))
-        env_cfg, cfg = tasks.read_config(record["env"]), tasks.tuples(record["learner"])
-        return env_cfg, eipo.Config(**cfg), record["jax_threads"], record["processes"]
+        kept = json.loads(str(arrays["settings"]))
+        env_cfg, cfg = tasks.read_config(kept["env"]), tasks.tuples(kept["learner"])
+        return env_cfg, eipo.Config(**cfg), kept["jax_threads"], kept["processes"]
 
 
 def load(path, template, envs):

@@ -13,7 +13,7 @@ from typing import Literal, get_args, get_origin
 import eipo
 import tasks
 from ppo import LR_RANGE
-from runtime.command import Parser, Refused
+from runtime.cli import Parser, Refused
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Options:
     checkpoint_every: int = 50  # iterations from one checkpoint to the next
     coordinator: str | None = None  # HOST:PORT at which several processes meet process 0
     processes: int | None = None  # how many processes train together, each with equally many robots
-    process: int | None = None  # which of them this one is, from 0, which writes the run folder
+    process: int | None = None  # number of this process, from 0; number 0 writes the run folder
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
@@ -58,10 +58,9 @@ def kind_of(field):
     if get_origin(field.type) is Literal:
         return dict(choices=get_args(field.type))
     if field.type is tuple:
-        kind = type(field.default[0])
-        several = dict(nargs="+", metavar="N")
-        low_and_high = dict(nargs=2, metavar=("LOW", "HIGH"))
-        return dict(type=kind) | (several if kind is int else low_and_high)
+        if isinstance(field.default[0], int):
+            return dict(type=int, nargs="+", metavar="N")
+        return dict(type=float, nargs=2, metavar=("LOW", "HIGH"))
     kind, *_ = get_args(field.type) or (field.type,)  # of int | None it is int
     return dict(type=kind, metavar={int: "N", float: "X", str: "TEXT"}[kind])
 
@@ -75,13 +74,13 @@ def parse(argv):
         usage="train.py [--task TASK] [--algo eipo|ppo] [--out FOLDER] [--FIELD VALUE ...]",
         argument_default=argparse.SUPPRESS,
     )
+    own = {task: x.world | x.learner for task, x in tasks.TASKS.items()}
     for title, config in GROUPS.items():
         group = parser.add_argument_group(title)
         by_name = {field.name: field for field in fields(config)}
         for name, comment in describe(config).items():
             default = by_name[name].default
             defaults = [] if default is None else [str(default)]
-            own = {task: x.world | x.learner for task, x in tasks.TASKS.items()}
             defaults += [f"{task} {x[name]}" for task, x in own.items() if name in x]
             text = comment + f" (default: {', '.join(defaults)})" * bool(defaults)
             flag = "--" + name.replace("_", "-")
@@ -103,11 +102,11 @@ def check(cfg, processes=1):
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
     if cfg.algo == "eipo" and cfg.lam == 0:
-        raise Refused("lam is 0: EIPO starts at alpha = 1 / lam, and PPO alone can do without")
+        raise Refused("lam is 0: EIPO starts at alpha = 1 / lam, so only --algo ppo takes 0")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
-        raise Refused(f"lr is {cfg.lr}: it stays within {LR_RANGE}, or give --target-kl 0")
+        raise Refused(f"lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
     if cfg.mirror and any(n % 2 for n in units):
-        raise Refused(f"one of {units} hidden units is odd and has no half: or --no-mirror")
+        raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
     if cfg.num_envs % shares:
         what = f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have"
         raise Refused(f"{what} equal shares, so it must be a multiple of {shares}")

@@ -7,7 +7,7 @@ from importlib.metadata import version
 import jax
 
 from go1_env import CORES
-from runtime.command import Refused
+from runtime.cli import Refused
 
 THREADS = "PJRT_NPROC"  # environment variable with the number of JAX's threads on a CPU
 

@@ -1,6 +1,5 @@
 """The numbers of a run: metrics.csv, the line on the console, and the pictures."""
 
-import csv
 import os
 import sys
 import time
@@ -8,7 +7,7 @@ import time
 import numpy as np
 
 from runtime import run_folder
-from runtime.command import Refused
+from runtime.cli import Refused
 
 EVERY = 30  # s from one line to the next where the output is no terminal
 
@@ -21,14 +20,15 @@ class Log:
         self.path = folder / "metrics.csv"
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
-        self.first, self.shown = None, -EVERY
+        self.first, self.shown_at = None, -EVERY
 
     def begin(self, header):
         """Keep the rows up to the checkpoint. What was written after it will be computed again."""
         lines = self.path.read_bytes().splitlines(True) if self.done and self.path.exists() else []
-        if lines and lines[0] != header:
+        lines = lines[: self.done + 1] or [header]
+        if lines[0] != header:
             raise Refused(f"{self.path} has other columns than this code: move it away")
-        run_folder.replace_file(self.path, lambda file: file.writelines(lines[: self.done + 1]))
+        run_folder.replace_file(self.path, lambda file: file.writelines(lines))
 
     def add(self, iteration, metrics):
         """Write one row and show it. Its time counts from the last start or resumption."""
@@ -39,10 +39,7 @@ class Log:
         if self.first is None:
             self.begin(",".join(row).encode() + b"\n")
         with open(self.path, "a", newline="") as file:
-            writer = csv.DictWriter(file, list(row), lineterminator="\n")
-            if file.tell() == 0:
-                writer.writeheader()
-            writer.writerow(row)
+            file.write(",".join(map(str, row.values())) + "\n")
             file.flush()
             os.fsync(file.fileno())  # it is on the disk before a checkpoint may follow
         self.show(row)
@@ -50,31 +47,30 @@ class Log:
     def show(self, row):
         """Print a row: on a terminal each one, elsewhere the first, the last, one every 30 s."""
         self.first = self.first or row
-        line = summary(row, self.first, self.iterations)
+        line = console_line(row, self.first, self.iterations)
         if sys.stdout.isatty():
             print(f"\r{line}\x1b[K", end="", flush=True)
-        elif row["iteration"] == self.iterations or row["time_s"] >= self.shown + EVERY:
+        elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + EVERY:
             print(line, flush=True)
-            self.shown = row["time_s"]
+            self.shown_at = row["time_s"]
 
 
-def summary(row, first, iterations):
+def console_line(row, first, iterations):
     """What matters of a row of metrics.csv, in one line.
 
     first: the first row of this process, which also compiled: the time left does not count it
     """
     timed = row["iteration"] - first["iteration"]
-    seconds = (row["time_s"] - first["time_s"]) / max(1, timed) * (iterations - row["iteration"])
     task = row.get("task_reward", row["reward"])  # a shaped reward is not the task's
+    left = race = ""
+    if timed:
+        seconds = (row["time_s"] - first["time_s"]) / timed * (iterations - row["iteration"])
+        left = f"{seconds / 60:.0f} min left  "
+    if "gap" in row:
+        race = f"alpha {row['alpha']:.1f}  share {row['task_share']:.2f}  gap {row['gap']:+.2f}"
     return (
-        f"{row['iteration']}/{iterations}  {row['steps_per_s']:.0f} steps/s  "
-        + (f"{seconds / 60:.0f} min left  " if timed else "")
-        + f"task {task:.2f}  v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  "
-        + (
-            f"alpha {row['alpha']:.1f}  share {row['task_share']:.2f}  gap {row['gap']:+.2f}"
-            if "gap" in row
-            else ""
-        )
+        f"{row['iteration']}/{iterations}  {row['steps_per_s']:.0f} steps/s  {left}"
+        f"task {task:.2f}  v_x {row['v_x']:.2f} m/s  power {row['power']:.0f} W  {race}"
     )
 
 

@@ -21,7 +21,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import AxisType, PartitionSpec
 
 import ppo
-from runtime.command import Refused, complaint
+from runtime.cli import Refused, complaint
 
 # s in which all processes must have come, and s after which a silent one counts as ended
 JOIN, SILENCE = 60, 20

@@ -29,7 +29,7 @@ import go1
 import go1_env
 import policy
 import tasks
-from runtime.command import Refused
+from runtime.cli import Refused
 
 try:
     import fcntl
@@ -103,20 +103,20 @@ def cpu_model():
     return names[0] if names else platform.processor()
 
 
-def save_config(folder, env_cfg, cfg, command, resume=False):
+def save_config(folder, env_cfg, cfg, typed, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
-    command: list of the words that were typed; resume: whether to keep earlier starts' entries
+    typed: list of the words of the command line; resume: whether to keep earlier starts' entries
     """
     path = folder / "config.json"
     with reading(path):
         starts = json.loads(path.read_text())["starts"] if resume else []
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
-    about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
+    about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)
     about |= dict(cpu=cpu_model(), cores=go1_env.CORES)
-    record = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
-    text = json.dumps(record, indent=1) + "\n"
+    config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
+    text = json.dumps(config, indent=1) + "\n"
     replace_file(path, lambda file: file.write(text.encode()))
 
 

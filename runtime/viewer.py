@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 import go1
 import terrain
 from runtime import run_folder
-from runtime.command import Refused
+from runtime.cli import Refused
 
 # up, down, left, right: GLFW's codes
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
@@ -164,15 +164,13 @@ def browser(env, steps, command, port=0, slow=1.0):
 
 
 def film(env, steps, seconds):
-    """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs.
-
-    The first second is not drawn.
-    """
+    """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs."""
     if os.environ.get("MUJOCO_GL") == "off":
         raise Refused("a GIF needs OpenGL: install libegl1 or libosmesa6")
     model, data = make_scene(env)
     camera = mujoco.MjvCamera()
-    next(islice(steps, round(1 / env.period) - 1, None))
+    for _ in islice(steps, round(1 / env.period)):  # the first second is not drawn
+        pass
     point(camera, env, model)
     pictures, logs = [], []
     try:

@@ -247,7 +247,8 @@ def error_of(capsys, main, *argv):
     assert main([str(x) for x in argv]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     name = main.__module__
-    assert line.startswith("results: " if name == "results.__main__" else f"{name}.py: ")
+    name = "python -m results" if name == "results.__main__" else f"{name}.py"
+    assert line.startswith(f"{name}: ")
     return line
 
 

@@ -8,8 +8,7 @@ from support import ROOT
 from test_results import made
 
 import evaluate
-from results import claims
-from results import runs as record
+from results import claims, tables
 from results.__main__ import main
 from results.claims import Comparison, compare, verdict
 
@@ -195,9 +194,9 @@ def write(place, *runs):
         settings = made(seed=seed, **long).settings
         row = dict(run=name, commit=commit, resumed=json.dumps([dict(commit=x) for x in resumed]))
         rows.append(row | {f"env.{x}": json.dumps(y) for x, y in settings.items()})
-    record.write(place / record.RUNS, rows)
+    tables.write(place / tables.RUNS, rows)
     episodes = [dict(run=name, policy="pi", fell=0.0) for name, *_ in runs]
-    record.write(place / record.EPISODES, episodes)
+    tables.write(place / tables.EPISODES, episodes)
 
 
 def test_runs_that_count(tmp_path, capsys):
@@ -227,8 +226,8 @@ def test_the_pages_have_what_the_commands_print():
     pages = "".join(page.read_text() for page in (ROOT / "results").rglob("*.md"))
     lines = list(claims.claim_lines(claims.counted()))
     for shown in (claims.TASKS, ("flat/flat4000-*",), ("curriculum", "curriculum/printed-*")):
-        lines += claims.table(record.runs([ROOT / "results" / runs for runs in shown]))
-    in_mind = list(claims.summary(record.runs([ROOT / "results" / runs for runs in IN_MIND])))
+        lines += claims.table(tables.runs([ROOT / "results" / runs for runs in shown]))
+    in_mind = list(claims.summary(tables.runs([ROOT / "results" / runs for runs in IN_MIND])))
     for line in lines + in_mind:
         assert line in pages, line
     readme = (ROOT / "README.md").read_text()  # it has the first of these tables

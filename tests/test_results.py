@@ -15,11 +15,10 @@ import eipo
 import evaluate
 import policy
 import tasks
-from results import figures
-from results import runs as record
+from results import figures, tables
 from results.__main__ import main
-from results.runs import by_group, kind
-from runtime.command import Refused
+from results.tables import by_group, kind
+from runtime.cli import Refused
 
 KINDS = ["EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS)]
 RESULTS = ROOT / "results"
@@ -33,9 +32,9 @@ def made(run="r", task="flat", speed=None, **columns):
     for name in columns.keys() & settings.keys() - {"start_spread"}:
         settings[name] = columns.pop(name)
     n = max((len(x) for x in columns.values()), default=0)
-    world = dict(start_spread=0.5) | dict.fromkeys((*record.ASKED, *evaluate.Episodes._fields), 0)
+    world = dict(start_spread=0.5) | dict.fromkeys((*tables.ASKED, *evaluate.Episodes._fields), 0)
     e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
-    return record.Run(run, settings, {}, dict(alpha=[200, 400]), e, {}, speed or {})
+    return tables.Run(run, settings, {}, dict(alpha=[200, 400]), e, {}, speed or {})
 
 
 def cells(rows, *columns):
@@ -110,7 +109,7 @@ def test_table1_has_interquartile_means_beside_the_papers():
 
 def test_fig5_draws_each_number_at_its_command():
     """Performance 1000 v_x + yaw: rows of the panel are 0.5 m/s apart, so 500, and columns 1."""
-    v_x, _, yaw = record.GRID.T
+    v_x, _, yaw = tables.GRID.T
     columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=1000 * v_x + yaw)
     _, figure = figures.fig5([made(task="curriculum", **columns)])
     mesh = figure.axes[0].collections[0]
@@ -222,7 +221,7 @@ def run_of(name, task="flat", **learner):
 
 def test_a_run_that_is_put_in_comes_out(short):
     """Both policies from both starts, two of each of 11 commands; every tenth row of the metrics
-    and the last one; where it ran.
+    and the last one; where it ran. It was stopped after 35 of 600 iterations, so it is one of 35.
     """
     folder = run_of("flat-eipo-seed3", seed=3)
     shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
@@ -237,8 +236,8 @@ def test_a_run_that_is_put_in_comes_out(short):
         assert main(["add", str(folder), "--results", "kept", "--episodes", "22"]) == 0
     other = run_of("flat-ppo-seed3", seed=3, algo="ppo")
     assert main(["add", str(other), "--results", "kept", "--episodes", "11"]) == 0
-    eipo_run, ppo_run = record.runs(["kept/flat"])
-    both = {**config["env"], **config["learner"]}
+    eipo_run, ppo_run = tables.runs(["kept/flat"])
+    both = {**config["env"], **config["learner"], "iterations": 35}
     assert eipo_run.settings == both and ppo_run.settings["algo"] == "ppo"
     assert eipo_run.metrics["iteration"].tolist() == [10, 20, 30, 35]
     assert eipo_run.metrics["v_x"].tolist() == [10.333, 20.333, 30.333, 35.333]
@@ -249,12 +248,12 @@ def test_a_run_that_is_put_in_comes_out(short):
     for run, each in ((pi, 22), (prime, 22), (ppo_run, 11)):
         assert len(run.episodes["fell"]) == 2 * each
         for nominal in (False, True):
-            e = record.evaluation(run, nominal)
+            e = tables.evaluation(run.episodes, nominal)
             assert e["asked_v_x"].tolist() == np.repeat(np.arange(11) / 10, each // 11).tolist()
             assert 0 < e["performance"].mean() < 1.5
     # the same policy from the same starts
     assert pi.episodes["v_x"].tolist() == prime.episodes["v_x"].tolist()
-    mean = record.evaluation(pi)["performance"].mean()
+    mean = tables.evaluation(pi.episodes)["performance"].mean()
     assert float(row["performance"]) == pytest.approx(mean, rel=1e-3) and not ppo_run.prime
 
 
@@ -262,19 +261,21 @@ def test_velocity_keeps_speeds_over_time(short):
     """16 steps of 0.02 s are one period of the clock, in the middle of which 0.16 s have passed."""
     folder = run_of("velocity-eipo-seed0", "velocity")
     assert main(["add", str(folder), "--results", "kept", "--episodes", "3"]) == 0
-    (run,) = record.runs(["kept/velocity"])
+    (run,) = tables.runs(["kept/velocity"])
     assert run.speed["time"].tolist() == [0.16] and len(run.speed["v_x"]) == 1
-    assert run.speed["v_x"][0] == pytest.approx(record.evaluation(run)["v_x"].mean(), abs=1e-3)
+    assert run.speed["v_x"][0] == pytest.approx(
+        tables.evaluation(run.episodes)["v_x"].mean(), abs=1e-3
+    )
 
 
 def test_tables_come_out_as_they_went_in(tmp_path):
     """Five digits, and all of a whole number."""
     rows = [dict(run="a", steps=3686400.0, x=1 / 3, y=np.inf), dict(run="b", policy="prime", z=2)]
-    record.write(tmp_path / "t.csv.gz", rows)
-    first, second = record.read(tmp_path / "t.csv.gz")
+    tables.write(tmp_path / "t.csv.gz", rows)
+    first, second = tables.read(tmp_path / "t.csv.gz")
     assert first == dict(run="a", steps="3686400", x="0.33333", y="inf", policy="", z="")
-    assert record.grouped([first, second], "run") == dict(a=[first], b=[second])
-    assert record.columns([first]) == dict(steps=3686400, x=0.33333, y=np.inf)
+    assert tables.grouped([first, second], "run") == dict(a=[first], b=[second])
+    assert tables.columns([first]) == dict(steps=3686400, x=0.33333, y=np.inf)
 
 
 def test_the_record_can_be_read():
@@ -283,12 +284,12 @@ def test_the_record_can_be_read():
     """
     for task in tasks.TASKS:
         place = RESULTS / task
-        runs = record.runs([place / "*"])
+        runs = tables.runs([place / "*"])
         assert len(runs) > 5 and all(run.settings["task"] == task for run in runs)
         assert all(kind(run.settings) for run in runs)
         names = {run.name for run in runs}
-        for file in (record.METRICS, record.EPISODES, record.SPEED):
-            assert {row["run"] for row in record.read(place / file)} <= names
+        for file in (tables.METRICS, tables.EPISODES, tables.SPEED):
+            assert {row["run"] for row in tables.read(place / file)} <= names
     policies = [*RESULTS.rglob("policy*.npz")]
     assert len(policies) > 3 and all(policy.load(path) for path in policies)
     files = [path for path in RESULTS.rglob("*") if path.is_file()]

@@ -9,7 +9,7 @@ import evaluate
 import tasks
 import train
 from runtime import flags
-from runtime.command import Refused
+from runtime.cli import Refused
 from runtime.flags import parse, settle
 
 

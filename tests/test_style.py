@@ -30,7 +30,7 @@ LAYERS = {
     "networks": {"numpy", "jax"},
     "mirror": {"numpy", "scipy"},
     "runtime/__init__": set(),
-    "runtime/command": set(),
+    "runtime/cli": set(),
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
     "runtime/run_folder": {"numpy"},

@@ -203,7 +203,7 @@ def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
 def test_the_second_signal_ends_a_run_and_an_ignored_one_stays_ignored(number):
     code = f"""
 import os, signal
-from runtime.command import StopRequest
+from runtime.cli import StopRequest
 ask = lambda: os.kill(os.getpid(), {int(number)})
 signal.signal({int(number)}, signal.SIG_IGN)
 stop = StopRequest()
@@ -375,8 +375,8 @@ def test_the_console(tmp_path, capsys, monkeypatch, terminal, shown):
     assert [int(line.split("/")[0]) for line in lines] == shown
     assert "left" not in lines[0] and "  0 min left" in lines[-1]
     row = NUMBERS | dict(task_share=0.857, gap=-0.194, iteration=2, time_s=62)
-    assert "  alpha 290.1  share 0.86  gap -0.19" in metrics.summary(row, NUMBERS, 12)
+    assert "  alpha 290.1  share 0.86  gap -0.19" in metrics.console_line(row, NUMBERS, 12)
     # 61 s for the second of twelve; a shaped reward is not the task's, and PPO has no gap
     shaped = NUMBERS | dict(reward=7, task_reward=1.25, iteration=2, time_s=62)
-    said = metrics.summary(shaped, NUMBERS, 12)
+    said = metrics.console_line(shaped, NUMBERS, 12)
     assert "  10 min left  task 1.25  " in said and "alpha" not in said

@@ -32,7 +32,7 @@ from support import TINY
 import evaluate
 import play
 import train
-from results import runs as record
+from results import tables
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -213,8 +213,8 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     for command in (tested, trained, evaluated, kept):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
-    (row,) = record.read(copy / "kept/turn/runs.csv")
-    asked = {float(x["asked_yaw"]) for x in record.read(copy / "kept/turn/episodes.csv.gz")}
+    (row,) = tables.read(copy / "kept/turn/runs.csv")
+    asked = {float(x["asked_yaw"]) for x in tables.read(copy / "kept/turn/episodes.csv.gz")}
     assert row["run"] == "run" and asked == {x / 10 for x in range(11)}
 
 

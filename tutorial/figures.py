@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 import eipo
 import go1
 import ppo
-from results import runs as record
+from results import tables
+from results.tables import RESULTS
 
 FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
-RESULTS = Path(__file__).parents[1] / "results"
 # colours that colour-blind readers can tell apart
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 STYLES = [(BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (RED, ":")]
@@ -47,9 +47,9 @@ def plot(axes, xlabel, ylabel, x, curves):
         axes.legend(frameon=False, fontsize=9)
 
 
-def curves(*drawn, height=2.7):
+def curves(*drawn):
     """A figure with a panel for each (xlabel, ylabel, x, {label: y}), as `plot` takes them."""
-    figure, axes = panels(len(drawn), height=height)
+    figure, axes = panels(len(drawn))
     for a, panel in zip(axes, drawn, strict=True):
         plot(a, *panel)
     return figure
@@ -148,7 +148,7 @@ def commands(grid, rng):
 
 def kept(name):
     """The columns of metrics.csv of a run, TASK/NAME, of which results/ keeps every tenth row."""
-    (run,) = record.runs([RESULTS / name])
+    (run,) = tables.runs([RESULTS / name])
     return run.metrics
 
 

@@ -14,7 +14,7 @@ from support import EIPO, LAMBDAS, dyadic, handmade, learner_of, trees_equal
 
 import eipo
 from eipo import Dual, Estimate, Transition
-from results import runs as kinds
+from results import tables
 
 # line 13 as in Section IV-C.c
 PAPER = replace(EIPO, lr_alpha=0.01, clip_alpha=1.0, momentum_alpha=0.99)
@@ -93,8 +93,8 @@ def test_eq04_gradient_in_alpha():
 def test_eq10_the_sweep_has_its_nine_lambdas():
     """Table I has a row for each lambda of Eq. (10), the 0 of PPO among them, and one for EIPO."""
     printed = (0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
-    assert printed == kinds.LAMBDAS == LAMBDAS
-    assert len(kinds.KINDS) == 1 + 9
+    assert printed == tables.LAMBDAS == LAMBDAS
+    assert len(tables.KINDS) == 1 + 9
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----

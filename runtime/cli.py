@@ -27,7 +27,7 @@ def complaint(error):
     return " ".join(str(error).split()) if isinstance(error, Refused | OSError) else None
 
 
-def command(name):
+def program(name):
     """Let a main(argv) return 2 after a line on stderr if it is refused, and 130 after Ctrl-C.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its

@@ -14,6 +14,7 @@ import csv
 import gzip
 import io
 import json
+import math
 import re
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -28,16 +29,16 @@ import eipo
 import evaluate
 import tasks
 from runtime import run_folder
-from runtime.command import Refused
+from runtime.cli import Refused
 
 RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
-# to be played of each policy from each kind of start, by results/rules.md and for Figure 5
+# how many are played of each policy from each kind of start, by results/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=1000, curriculum=968)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
-# of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
+# the commands of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
 
 
@@ -95,7 +96,7 @@ def grouped(rows, column):
 
 
 def columns(rows):
-    """The rows of a run as numbers, {column: (rows,)}."""
+    """The rows of a run as numbers, {column: (rows,)}, without columns that it leaves empty."""
     names = [name for name, x in rows[0].items() if x != ""] if rows else []
     names = [name for name in names if name not in ("run", "policy")]
     return {name: np.array([row[name] for row in rows], float) for name in names}
@@ -133,9 +134,8 @@ def settings_of(row):
     return {name.split(".")[1]: json.loads(x) for name, x in settings.items() if x}
 
 
-def evaluation(run, nominal=False):
-    """The columns of pi's episodes from random poses, or of those from the nominal one."""
-    e = run.episodes
+def evaluation(e, nominal=False):
+    """Of the columns e of episodes those from random poses, or those from the nominal one."""
     return where((e["start_spread"] == 0) == nominal, e)
 
 
@@ -144,15 +144,15 @@ def where(mine, e):
     return {name: x[mine] for name, x in e.items()}
 
 
-def scores(run):
-    """evaluate.numbers of a run from random starts, and two of them from the nominal pose."""
-    random, nominal = (evaluate.numbers(evaluation(run, start)) for start in (False, True))
+def numbers_of(e):
+    """evaluate.numbers of the columns e from random starts, and two of them from nominal ones."""
+    random, nominal = (evaluate.numbers(evaluation(e, start)) for start in (False, True))
     return random | {f"{name}_nominal": nominal[name] for name in ("performance", "fell")}
 
 
 def means(arm):
-    """`scores` of each run of an arm, {name: (runs,)}, and their means, {name: float}."""
-    each = [scores(run) for run in arm]
+    """`numbers_of` each run of an arm, {name: (runs,)}, and their means, {name: float}."""
+    each = [numbers_of(run.episodes) for run in arm]
     each = {name: np.array([row[name] for row in each]) for name in each[0]}
     return each, {name: x.mean() for name, x in each.items()}
 
@@ -231,8 +231,9 @@ def by_kind(runs):
             if names != {"seed"}:
                 what = f"{first.name} and {other.name} are {name} and differ in"
                 raise Refused(f"{what} {', '.join(sorted(names)) or 'nothing'}")
-    place = dict(zip(KINDS, range(10), strict=True))
-    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], 10), x[0])))
+    place = {name: i for i, name in enumerate(KINDS)}
+    last = len(KINDS)
+    return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], last), x[0])))
 
 
 def with_primes(kinds):
@@ -260,8 +261,7 @@ def add(folders, results=RESULTS, num_episodes=None):
         n = num_episodes or NUM_EPISODES.get(task, 330)
         played, speeds = play(folder, task, n)
         mine = columns(grouped(played, "policy")["pi"])
-        run = Run(folder.name, settings_of(row), row, {}, mine, {}, {})
-        row = dict(run=folder.name) | scores(run) | row
+        row = dict(run=folder.name) | numbers_of(mine) | row
         parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
         if task == "velocity":
             parts[SPEED] = speeds
@@ -281,6 +281,7 @@ def run_row(folder):
         first, *resumed = config["starts"]
         cfg = config["learner"]
         done = int(read(folder / "metrics.csv")[-1]["iteration"])
+        cfg["iterations"] = done  # fewer than were asked for, if it was stopped
         row = dict(seed=cfg["seed"], iterations=done)
         row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
         row |= first | dict(versions=json.dumps(first["versions"]))
@@ -305,18 +306,17 @@ def play(folder, task, num_episodes):
     Equally many of each command of the evaluation, on curriculum of each command of GRID.
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
-    asked = np.repeat(commands, max(1, num_episodes // len(commands)), 0)
-    has_prime = (folder / "policy_prime.npz").exists()
+    asked = np.repeat(commands, math.ceil(num_episodes / len(commands)), 0)
+    policies = ("pi", "prime") if (folder / "policy_prime.npz").exists() else ("pi",)
     rows, speeds = [], []
-    for prime, nominal in product((False, True)[: 1 + has_prime], (False, True)):
-        pi, env_cfg = evaluate.load(folder, nominal=nominal, prime=prime)
+    for policy, nominal in product(policies, (False, True)):
+        pi, env_cfg = evaluate.load(folder, nominal=nominal, prime=policy == "prime")
         env = evaluate.make_env(env_cfg, asked)
         episodes, v_x = evaluate.run_episodes(pi.mean, env)
-        if not (prime or nominal):
+        if policy == "pi" and not nominal:
             speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
         table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
-        row = dict(run=folder.name, policy="prime" if prime else "pi")
-        row |= dict(start_spread=env_cfg.start_spread)
+        row = dict(run=folder.name, policy=policy, start_spread=env_cfg.start_spread)
         for numbers in zip(*table.values(), strict=True):
             rows.append(row | dict(zip(table, map(float, numbers), strict=True)))
     return rows, speeds
