@@ -327,7 +327,7 @@ def test_a_damaged_table_is_one_line(tmp_path, capsys):
     assert "episodes.csv.gz is damaged" in error_of(capsys, main, "table", tmp_path / "flat-*")
 
 
-@pytest.mark.parametrize("argv", [["fig7"], ["fig2"], ["fig2", "a", "--moon"]])
+@pytest.mark.parametrize("argv", [["fig7"], ["fig2"], ["claims", "a"], ["fig2", "a", "--moon"]])
 def test_a_wrong_command_line_is_one_line(argv, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(argv)
