@@ -18,8 +18,9 @@ BATTERY = 42.0  # W drawn by the electronics whatever the motors do, Eq. (9)
 # W, bonus that makes the cost of a frugal robot negative, so that falling does not pay, Eq. (9)
 SURVIVAL = 200.0
 
-# g of Eq. (9). The calf motor drives its joint through an extra 1.5:1 linkage, so a calf torque
-# needs 2/3 of the motor torque that the same hip or thigh torque needs. The paper prints none.
+# [-] g of Eq. (9), motor torque per joint torque, relative to the hip motor. The calf motor drives
+# its joint through an extra 1.5:1 linkage, so a calf torque needs 2/3 of the motor torque that the
+# same hip or thigh torque needs. The paper prints none.
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
@@ -43,12 +44,9 @@ def mechanical_power(torque, qd, clip):
     return np.clip(torque * qd, -3.0, 1e4).sum(-1)
 
 
-def heating_power(torque, gear_ratio=GEAR_RATIO):
-    """Joule heating of the motors [W]. Eq. (9), line 3: 0.7 ||tau * g||^2.
-
-    gear_ratio: (12,) [-] motor torque per joint torque, relative to the hip motor
-    """
-    return HEATING * norm2(torque * gear_ratio)
+def heating_power(torque):
+    """Joule heating of the motors [W]. Eq. (9), line 3: 0.7 ||tau * g||^2."""
+    return HEATING * norm2(torque * GEAR_RATIO)
 
 
 def total_power(torque, qd, clip):

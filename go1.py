@@ -138,12 +138,12 @@ def motor_model(target, q, qd):
     return KP * (target - q) - (KD + 0.2) * qd
 
 
-def torque_speed_limit(qd, qd_max=VELOCITY_LIMIT):
+def torque_speed_limit(qd):
     """Largest torque at speed qd [N m]. Section V-D: tau_max = 33 (qd_max - |qd|) / qd_max.
 
     Deviation D7: the limit is never below 0. As printed it turns negative beyond qd_max.
     """
-    return STALL_TORQUE * np.maximum(qd_max - np.abs(qd), 0.0) / qd_max
+    return STALL_TORQUE * np.maximum(VELOCITY_LIMIT - np.abs(qd), 0.0) / VELOCITY_LIMIT
 
 
 def limit_torque(torque, qd, torque_speed=False):

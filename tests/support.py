@@ -2,7 +2,6 @@
 hand, run folders.
 """
 
-import resource
 import signal
 import subprocess
 import threading
@@ -21,8 +20,6 @@ from mirror import plain_policy
 from networks import Layer
 from runtime import run_folder
 from runtime.flags import settle
-
-LAMBDAS = (0.0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 
 # ---- the learner ----
 
@@ -200,14 +197,14 @@ def heard():
 
 
 @contextmanager
-def started(command, seconds=SECONDS, **options):
+def started(command, **options):
     """A process with pipes, which hears signals. It is killed where the context ends or, so that
-    every wait for it has an end, after some seconds.
+    every wait for it has an end, after SECONDS.
     """
     pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with heard():
         process = subprocess.Popen([str(x) for x in command], **pipes, **options)
-    late = threading.Timer(seconds, process.kill)
+    late = threading.Timer(SECONDS, process.kill)
     late.daemon = True
     late.start()
     with process:
@@ -225,17 +222,13 @@ TINY = ["--num-envs", "4", "--num-steps", "4", "--history", "2"]
 TINY += ["--hidden", "8", "--hidden-estimator", "8"]
 
 
-def make_run(folder, task="flat", action=None, **learner):
-    """A run folder with an untrained policy; action: what it answers to everything, if not what it
-    likes; its path.
-    """
+def make_run(folder, task="flat", **learner):
+    """The path of a new run folder with an untrained policy."""
     env_cfg = tasks.task_config(task, history=2, tiles=2)
     small = dict(hidden=(8,), hidden_estimator=(8,))
     _, cfg = settle(dict(task=task), small | learner)
     env = go1_env.Go1Env(1, env_cfg, 1)
     pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.ppo_cfg)
-    if action is not None:
-        pi.params["actor"][-1] = plain(np.zeros((8, 12)), action)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [])
     run_folder.save_policy(folder / "policy.npz", plain_policy(pi.params, env), env_cfg)
@@ -250,35 +243,3 @@ def error_of(capsys, main, *argv):
     name = "python -m results" if name == "results.__main__" else f"{name}.py"
     assert line.startswith(f"{name}: ")
     return line
-
-
-DAMAGES = {
-    "missing": lambda path: path.unlink(),
-    "truncated": lambda path: path.write_bytes(path.read_bytes()[:-500]),
-    "binary": lambda path: path.write_bytes(b"\xff\x00"),
-}  # of a file
-
-
-def change_npz(path, **changes):
-    """Other arrays in an npz file."""
-    arrays = run_folder.read_npz(path) | {name.replace("__", "."): x for name, x in changes.items()}
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
-
-
-@contextmanager
-def full_disk(size):
-    """Meanwhile no file can grow beyond `size` bytes, which the system reports much as it reports a
-    full disk.
-    """
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def contents(folder):
-    """Every file of a folder, by name."""
-    return {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -77,13 +77,6 @@ def test_without_opengl_or_display_a_line_says_what_to_do(runs, capsys, monkeypa
     assert "libegl1" in error_of(capsys, play.main, runs["flat"], "--gif", "a.gif")
 
 
-@pytest.mark.parametrize("argv", ["", "--gif a.gif"])
-def test_what_is_no_run_folder_is_one_line(tmp_path, capsys, monkeypatch, argv):
-    monkeypatch.chdir(tmp_path)
-    assert "none/policy.npz" in error_of(capsys, play.main, "none", *argv.split())
-    assert not list(tmp_path.iterdir())
-
-
 # ---- what is played ----
 
 

@@ -292,8 +292,8 @@ def test_torque_speed_limit_before_every_physics_step():
 
 
 def test_latency_in_steps():
-    """Six physics steps are one control step of four and a half: a new target reaches the motors
-    in the second one only.
+    """Six physics steps are one and a half control steps of four, so that a new target reaches the
+    motors in the middle of the second one.
 
     The joints rest at the old target: 0 N m before, and 20 * 0.25 N m after.
     """
@@ -397,13 +397,15 @@ def test_curriculum_grows_where_the_robot_succeeds(command, cell, episode_steps,
 
 
 def test_shaped_reward_replaces_the_task_reward_and_keeps_it_in_the_log():
-    """A robot that hangs still 10 cm too high has 1.5 for the command 0, less 30 * 0.1^2."""
+    """A robot that is 10 cm too high and moves at 1 m/s, where 1.5 is asked for, has 1/e + 1/2 =
+    0.86788, less 30 * 0.1^2.
+    """
     env = quiet(reward="shaped")
-    place(env, height=0.44)
-    env.state.command[:] = 0.0
+    place(env, height=0.44, velocity=(1, 0, 0))
+    env.state.command[:] = 1.5, 0, 0
     _, reward, _, _, info = still(env)
-    assert reward == pytest.approx([1.5 - 30 * 0.01] * 2, abs=1e-3)
-    assert info["log"]["task_reward"] == pytest.approx([1.5] * 2, abs=1e-6)
+    assert reward == pytest.approx([0.56788] * 2, abs=1e-3)
+    assert info["log"]["task_reward"] == pytest.approx([0.86788] * 2, abs=1e-5)
 
 
 @pytest.fixture

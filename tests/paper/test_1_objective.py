@@ -10,7 +10,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from support import EIPO, LAMBDAS, dyadic, handmade, learner_of, trees_equal
+from support import EIPO, handmade, learner_of
 
 import eipo
 from eipo import Dual, Estimate, Transition
@@ -34,37 +34,19 @@ def test_eq01_discounted_return():
     assert gae(reward, 0 * ones, 0 * ones, ends, never, 0.5, 1.0)[0] == 3
 
 
-def test_eq02_lambda_objective():
-    """With lam = 1/4:
+def test_eq02_lambda_objective_and_eq04_at_one_over_lambda():
+    """D6. With lam = 1/4, and with alpha = 1 / lam = 4:
 
-    A_r           =  1,  2, -3
-    A_f           =  4, -8, 16
-    A_r - lam A_f =  0,  4, -7
+    A_r                      =  1,   2,  -3
+    A_f                      =  4,  -8,  16
+    Eq. (2): A_r - lam A_f   =  0,   4,  -7
+    Eq. (4): alpha A_r - A_f =  0,  16, -28
+
+    The last line is 4 times the one before, so normalised they are equal.
     """
     advantage = np.array([[1.0, 4.0], [2.0, -8.0], [-3.0, 16.0]])
     assert eipo.mix(advantage, task_weight=1, cost_weight=0.25).tolist() == [0, 4, -7]
-
-
-def test_eq02_without_energy_is_the_task_alone():
-    """With lam = 0 what is left is A_r."""
-    assert eipo.mix(
-        np.array([[1.0, 64.0], [2.0, 64.0]]), task_weight=1, cost_weight=0
-    ).tolist() == [1, 2]
-
-
-def test_eq04_lambda_is_one_over_alpha():
-    """D6. At alpha = 1 / lam = 4 they differ by a factor, and are equal once normalised:
-
-    Eq. (2)      A_r - A_f / 4
-    Eq. (4)    4 A_r - A_f
-    """
-    advantage = dyadic(np.random.default_rng(0), 64, 2)
-    eq2, eq4 = (
-        eipo.mix(advantage, task_weight=1, cost_weight=0.25),
-        eipo.mix(advantage, task_weight=4, cost_weight=1),
-    )
-    assert np.array_equal(4 * eq2, eq4)
-    assert np.array_equal((eq2 - eq2.mean()) / eq2.std(), (eq4 - eq4.mean()) / eq4.std())
+    assert eipo.mix(advantage, task_weight=4, cost_weight=1).tolist() == [0, 16, -28]
 
 
 @pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 28.0), (0.0, -4.0)])
@@ -80,12 +62,6 @@ def test_eq04_gradient_in_alpha():
     dL/dalpha =          -(J - J') = +2
     alpha     = 2 + 2/2 = 3            (the printed J - J' would go to 2 - 2/2 = 1)
     """
-
-    def lagrangian(alpha, F=10.0, J=3.0, J_prime=5.0):
-        return F - alpha * (J - J_prime)
-
-    assert lagrangian(2.0) == 14
-    assert jax.grad(lagrangian)(2.0) == 2
     cfg = replace(PAPER, lr_alpha=0.5, momentum_alpha=0.0, clip_alpha=4.0)
     assert eipo.step_alpha(Dual(2.0, 0.0), 3.0 - 5.0, cfg) == Dual(3.0, 2.0)
 
@@ -93,7 +69,7 @@ def test_eq04_gradient_in_alpha():
 def test_eq10_the_sweep_has_its_nine_lambdas():
     """Table I has a row for each lambda of Eq. (10), the 0 of PPO among them, and one for EIPO."""
     printed = (0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
-    assert printed == tables.LAMBDAS == LAMBDAS
+    assert printed == tables.LAMBDAS
     assert len(tables.KINDS) == 1 + 9
 
 
@@ -120,29 +96,6 @@ def test_algorithm1_line08_gae_terminated():
     """
     next_value = np.array([1.0, 64.0, 1.0])
     assert gae(ones, ones, next_value, at_1, never, 0.5, 0.5).tolist() == [0.5, 0, 0.5]
-
-
-def test_algorithm1_line08_gae_truncated():
-    """Time was up after t = 1, where the next value is 3. Step 2 is of another episode:
-
-    A_2 =  1 + 1/2 - 1           = 0.5
-    A_1 =  1 + 3/2 - 1           = 1.5
-    A_0 =  1 + 1/2 - 1 + 1.5 / 4 = 0.875
-    """
-    next_value = np.array([1.0, 3.0, 1.0])
-    assert gae(ones, ones, next_value, never, at_1, 0.5, 0.5).tolist() == [0.875, 1.5, 0.5]
-
-
-def test_algorithm1_line08_gae_is_linear():
-    """alpha gae(r) - gae(f) == gae(alpha r - f), bit by bit. So advantages can be mixed later."""
-    rng = np.random.default_rng(1)
-    r, f = dyadic(rng, 2, 3, 4, 32)  # (reward, value, next value), T, N
-    terminated, truncated = rng.random((2, 4, 32)) < 0.2
-
-    def of(streams):
-        return gae(*streams, terminated, truncated & ~terminated, 0.5, 0.5)
-
-    assert np.array_equal(8 * of(r) - of(f), of(8 * r - f))
 
 
 def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
@@ -206,9 +159,6 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
     )
     assert low.advantage.ravel().tolist() == [0, 2, 0, 2]
     assert (eipo.estimate_J(low), eipo.estimate_J(high)) == (1, 3)
-    normalised = [(e.advantage - e.advantage.mean()) / e.advantage.std() for e in (low, high)]
-    assert trees_equal(*normalised)
-    assert normalised[0].mean() == 0
 
 
 @pytest.mark.parametrize(("task", "cost", "share"), [(6, 1, 0.75), (1, 0.25, 2 / 3), (1, 0, 1)])
@@ -248,10 +198,9 @@ def test_algorithm1_line13_alpha_momentum():
 
 
 def test_algorithm1_line13_alpha_stays_above_zero_and_loses_its_momentum_there():
-    """What follows is a fresh start, without the momentum of -0.99 that was there:
-
-    0.005 - 0.01 < 0:  alpha = 0
-    0 + 0.01 * 1:      alpha = 0.01
+    """0.005 - 0.01 < 0, so alpha becomes 0 and its momentum of -1 is forgotten. The next step is
+    therefore a whole one, 0 + 0.01 * 1 = 0.01. With what was left of the momentum it would be
+    0.01 (1 - 0.99).
     """
     dual = eipo.step_alpha(Dual(0.005, 0.0), 1.0, PAPER)
     assert dual == Dual(0.0, 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from terrain import fade, height, make_ground, origin, perlin, tile, wrap
+from terrain import fade, height, make_ground, perlin, tile, wrap
 
 # of the lattice points (0, 0), (0, 1) and (1, 0), (1, 1): no two components alike
 GRADIENTS = np.array([[[1.0, 3.0], [7.0, -4.0]], [[-2.0, 5.0], [6.0, -9.0]]])
@@ -97,13 +97,6 @@ def test_make_ground():
 
 
 # ---- places ----
-
-
-def test_origin_by_hand():
-    """A tile every 4 + 2 * 1 m along x, each behind its apron of 1 m."""
-    assert origin(np.array([0, 1, 15])).tolist() == [[1.0, 1.0], [7.0, 1.0], [91.0, 1.0]]
-    assert origin(np.array([[0], [1]])).tolist() == [[[1.0, 1.0]], [[7.0, 1.0]]]
-    assert origin(1).tolist() == [7.0, 1.0]
 
 
 def test_wrap_by_hand():

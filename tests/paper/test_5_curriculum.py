@@ -42,7 +42,8 @@ def test_start_is_within_one_metre_and_one_radian_per_second():
     ids=["amid", "in a corner", "two in a corner, from 0.5"],
 )
 def test_a_success_by_hand(weight, cells, corner, after):
-    """A success gives 0.2 to its cell and 0.2 to all nine around, so 0.4 amid 0.2.
+    """A success adds 0.2 to the 3 x 3 cells around its command, and another 0.2 to the cell itself:
+    0.4 amid 0.2.
 
     Two count twice, nothing grows out at the other side, and weights stop at 1. A failure, here in
     the cell (5, 5), gives nothing.
@@ -58,7 +59,7 @@ def test_a_success_by_hand(weight, cells, corner, after):
 
 @pytest.mark.parametrize(
     ("linear", "angular", "success"),
-    [(0.81, 0.51, True), (0.8, 0.9, False), (0.9, 0.5, False), (0.5, 0.9, False)],
+    [(0.81, 0.51, True), (0.8, 0.9, False), (0.9, 0.5, False)],
 )
 def test_success_needs_both(linear, angular, success):
     """More than 0.8 of the linear and more than 0.5 of the angular kernel [lab code]."""
@@ -70,8 +71,8 @@ def test_success_needs_both(linear, angular, success):
 def test_commands_come_from_their_cells():
     """The cell (6, 30) has v_x in [2, 2.5] and yaw rate in [5, 5.5]. v_y is in all of [-0.6, 0.6].
 
-    The three are drawn one by one, so that they are not correlated. Those of 1000 draws are, by
-    chance, by 0.03 (5 sigma 0.16).
+    The three are drawn one by one, so that they are not correlated. By chance alone 1000 draws have
+    correlations of about 0.03; 0.16 is five times that.
     """
     command = draw(grid({(6, 30): 0.2}), 1000)
     assert len(np.unique(command)) == 3000

@@ -31,21 +31,6 @@ def test_motor_model():
     assert torque == pytest.approx(np.full(12, 3.0))
 
 
-@pytest.mark.parametrize(
-    ("speed", "limit"),
-    [(0, 33.0), (0.5, 16.5), (1, 0.0), (2, 0.0), (-0.5, 16.5), (-1, 0.0), (-2, 0.0)],
-)
-def test_torque_speed_limit(speed, limit):
-    """qd = speed * qd_max: 33 (1 - |speed|). D7: 0 beyond qd_max, where the printed one is -33."""
-    assert go1.torque_speed_limit(speed * TOP_SPEED) == pytest.approx([limit] * 12, rel=1e-14)
-
-
-def test_torque_speed_limit_takes_the_speed_of_each_joint():
-    """qd = 15 of qd_max = 20, 30 and 60 rad/s: 33/4 = 8.25, 33/2 = 16.5 and 33 * 3/4 = 24.75."""
-    limit = go1.torque_speed_limit(np.full(3, 15.0), np.array([20.0, 30.0, 60.0]))
-    assert limit.tolist() == [8.25, 16.5, 24.75]
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("speed", "torque_speed", "hip", "calf"),
@@ -72,10 +57,3 @@ def test_limit_of_both_tables(sign, speed, torque_speed, hip, calf):
     asked, expected = np.full(12, sign * 100.0), np.tile([hip, hip, calf], 4)
     limited = go1.limit_torque(asked, speed * TOP_SPEED, torque_speed)
     assert limited == pytest.approx(sign * expected, rel=1e-14)
-
-
-@pytest.mark.parametrize("torque_speed", [False, True])
-def test_small_torques_pass(torque_speed):
-    """Below its limits a motor gives what the controller asks for, bit for bit."""
-    torque = np.linspace(-20, 20, 12)
-    assert go1.limit_torque(torque, np.zeros(12), torque_speed).tolist() == torque.tolist()
