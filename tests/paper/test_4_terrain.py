@@ -110,7 +110,7 @@ def test_wrap_by_hand():
         ((1.0, 1.0), 0, (1.0, 1.0)),  # the near edges belong to the tile,
         ((5.0, 5.0), 0, (1.0, 1.0)),  # the far ones are the near ones again
         ((5.25, 2.0), 0, (1.25, 2.0)),  # just past the far edge
-        ((2.0, 0.75), 0, (2.0, 4.75)),  # just before the near one
+        ((0.75, 0.75), 0, (4.75, 4.75)),  # just before the near ones
         ((13.5, 2.0), 0, (1.5, 2.0)),  # three tiles on
         ((2.0, -10.0), 0, (2.0, 2.0)),  # three tiles back
         ((17.25, 0.5), 2, (13.25, 4.5)),  # tile 2 reaches from 13 to 17, both at once
