@@ -219,7 +219,8 @@ def test_runs_that_count(tmp_path, capsys):
 
 
 ROUGH = "rough/rough-eipo-*", "rough/rough-ppo-lam0-*", "rough/rough-ppo-lam0.005-*"
-IN_MIND = "flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "velocity", *ROUGH, "curriculum"
+FLAT = "flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "flat/flat4000-*"
+IN_MIND = *FLAT, "velocity", *ROUGH, "curriculum"
 
 
 def test_the_pages_have_what_the_commands_print():
