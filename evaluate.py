@@ -169,7 +169,8 @@ def evaluate(folder, args):
     """
     pi, env_cfg = load(folder, args.clip, prime=args.prime)
     commands = commands_of(env_cfg.task)
-    asked = np.tile(commands, (math.ceil(args.episodes / len(commands)), 1))  # as many of each
+    each = math.ceil(args.episodes / len(commands))  # equally many of each command
+    asked = np.tile(commands, (each, 1))
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
     row = dict(episodes=len(asked)) | {"95 % from": low, "to": high}

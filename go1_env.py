@@ -41,8 +41,8 @@ class Part(NamedTuple):
 
 
 # The observation, Section IV-C.a: the last H frames, oldest first, and right after a reset H times
-# the first one (D16). A frame is what a robot measures at one moment, its command, its
-# previous action and its clock. The mirrored robot's clock is half a period later, as in a trot.
+# the first one (D16). A frame is what a robot measures at one moment, its command, its previous
+# action and its clock. The mirrored robot's clock is half a period later, as in a trot.
 JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
 FRAME = dict(
     gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
@@ -56,8 +56,8 @@ WIDTHS = [len(part.mirror[0]) for part in FRAME.values()]
 FRAME_WIDTH = sum(WIDTHS)
 FRAME_SCALE = np.concatenate([np.ones(len(part.mirror[0])) * part.scale for part in FRAME.values()])
 FRAME_NOISE = np.repeat([part.noise for part in FRAME.values()], WIDTHS)
-index, sign = map(np.concatenate, zip(*(part.mirror for part in FRAME.values()), strict=True))
-FRAME_MIRROR = index + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS), sign
+INDEX, SIGN = map(np.concatenate, zip(*(part.mirror for part in FRAME.values()), strict=True))
+FRAME_MIRROR = INDEX + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS), SIGN  # of a whole frame
 
 
 class Physics(NamedTuple):

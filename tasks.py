@@ -13,8 +13,10 @@ from scipy.ndimage import convolve
 
 import rewards
 
-# ---- commands: objects with `draw`, `record`, `start`, `weights` and, of a task, an `example`, and
-# `low` and `high`, between which one may ask for something in the viewer ----
+# ---- commands ----
+
+# Objects with `draw`, `record`, `start` and `weights`. Those of a task also have an `example`, and
+# `low` and `high`, the ends of the viewer's sliders.
 
 
 class Range:
