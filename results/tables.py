@@ -162,7 +162,7 @@ def means(arm):
 
 def usual(settings):
     """The eipo.Config with which runs like this one are expected: that of the task, or with another
-    number of iterations one with the paper's step of alpha.
+    number of iterations one with the paper's learning rate of alpha.
     """
     cfg = eipo.Config(**tasks.TASKS[settings["task"]].learner)
     if settings["iterations"] == cfg.iterations:
@@ -226,7 +226,7 @@ def by_kind(runs):
         for other in others:
             a, b = first.settings, other.settings
             names = {x for x in a.keys() & b.keys() if a[x] != b[x]}
-            if a["algo"] == "ppo":  # which reads no step of alpha
+            if a["algo"] == "ppo":  # which reads no learning rate of alpha
                 names = {x for x in names if not x.endswith("_alpha")}
             if names != {"seed"}:
                 what = f"{first.name} and {other.name} are {name} and differ in"

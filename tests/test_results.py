@@ -152,7 +152,7 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
 
 def test_kinds_of_runs():
     """EIPO first, then lambda ascends. What is not usual for a task is part of the name. PPO reads
-    no step of alpha.
+    no learning rate of alpha.
     """
     ppo = dict(algo="ppo", lr_alpha=7.0)
     settings = dict(
@@ -178,7 +178,7 @@ def test_kinds_of_runs():
 
 
 def test_a_longer_run_is_of_another_group():
-    """It has the paper's step of alpha, and says so if it has another one."""
+    """It has the paper's learning rate of alpha, and says so if it has another one."""
     long = dict(iterations=4000)
     runs = [made("a"), made("b", lr_alpha=0.01, **long), made("c", lr_alpha=0.5, **long)]
     groups = by_group([*runs, made("d", "rough")])
