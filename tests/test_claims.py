@@ -218,9 +218,8 @@ def test_runs_that_count(tmp_path, capsys):
     assert "has no run" in capsys.readouterr().err
 
 
-ROUGH = "rough/rough-eipo-*", "rough/rough-ppo-lam0-*", "rough/rough-ppo-lam0.005-*"
 FLAT = "flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "flat/flat4000-*"
-IN_MIND = *FLAT, "velocity", *ROUGH, "curriculum"
+IN_MIND = *FLAT, "velocity", "rough/new-*", "curriculum"
 
 
 def test_the_pages_have_what_the_commands_print():
