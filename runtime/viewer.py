@@ -169,8 +169,7 @@ def film(env, steps, seconds):
         raise Refused("a GIF needs OpenGL: install libegl1 or libosmesa6")
     model, data = make_scene(env)
     camera = mujoco.MjvCamera()
-    for _ in islice(steps, round(1 / env.period)):  # the first second is not drawn
-        pass
+    list(islice(steps, round(1 / env.period)))  # the first second passes and is not drawn
     point(camera, env, model)
     pictures, logs = [], []
     try:
