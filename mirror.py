@@ -93,7 +93,7 @@ def coordinates(env):
 def plain_policy(params, env):
     """The policy that learned from env as plain MLPs, for whatever knows no mirror.
 
-    Returns layers [(W (n, m), b (m,)), ...] of actor and estimator, by name.
+    Returns layers [(W (n, m), b (m,)), ...] of actor and estimator, by name, float32.
     """
     obs, privileged, action = coordinates(env)
     zeros = np.zeros((len(obs), len(privileged)))
@@ -119,6 +119,7 @@ def plain(layers, enter, leave):
         else:
             after = leave
         # from plain inputs to coordinates, through the layer, and back
-        result.append((enter @ weights @ after.T, bias @ after.T))
+        both = enter @ weights @ after.T, bias @ after.T
+        result.append(tuple(x.astype(np.float32) for x in both))
         enter = after
     return result

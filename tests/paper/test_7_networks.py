@@ -293,12 +293,14 @@ def test_a_mirrored_observation_gets_a_mirrored_action():
 @pytest.mark.parametrize("is_mirrored", [True, False])
 def test_the_plain_policy_is_the_same_policy(is_mirrored):
     """On what the robot sees, policy.py has the same means and estimates, without noise (D32), and
-    the mirror has half of its weights. IV-C.b: actor and critic have the same hidden widths.
+    the mirror has half of its weights. It is in single precision, as in training: in double, NumPy
+    takes more than twice as long. IV-C.b: actor and critic have the same hidden widths.
     """
     env, params = new_policy(is_mirrored)
     whole = mirror.plain_policy(params, env)
     assert [weights.shape for weights, _ in whole["actor"]] == [(91, 16), (16, 8), (8, 12)]
     assert [weights.shape for weights, _ in whole["estimator"]] == [(88, 6), (6, 4), (4, 3)]
+    assert {x.dtype.name for layers in whole.values() for x in sum(layers, ())} == {"float32"}
     actor, critic = ([x.weights[0].shape for x in params[net][:-1]] for net in ("actor", "critic"))
     assert actor == critic
     mean, _, estimate = policy(params, env.observe()[0])
