@@ -295,9 +295,11 @@ def test_the_record_can_be_read():
 
 
 def test_a_committed_picture_comes_from_the_committed_tables(tmp_path):
-    runs = [str(RESULTS / x) for x in ("flat/flat-eipo-lam0.005-*", "flat/flat-ppo-*", "velocity")]
+    names = "flat4000-*", "flat-eipo-lam0.005-*", "flat-ppo-lam0-*", "flat-ppo-lam0.00[25]-*"
+    runs = [str(RESULTS / "flat" / name) for name in names]
     assert main(["tradeoff", *runs, "--out", str(tmp_path / "new")]) == 0
-    assert (tmp_path / "new/tradeoff.csv").read_text() == (RESULTS / "tradeoff.csv").read_text()
+    committed = (RESULTS / "flat/tradeoff.csv").read_text()
+    assert (tmp_path / "new/tradeoff.csv").read_text() == committed
     with Image.open(tmp_path / "new/tradeoff.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
 
