@@ -137,14 +137,16 @@ def test_a_line_for_each_kind_of_run():
     """
     runs = [x._replace(prime=y.episodes) for x, y in zip(arm(), arm(power=500.0), strict=True)]
     head, _, pi, prime = claims.table(runs)
-    assert head.startswith("| flat | score | power | fell | from nominal | energy | last alpha |")
+    assert head.startswith(
+        "| flat, 600 iterations | score | power | fell | from nominal | energy |"
+    )
     each = "0.010, 0.011, 0.012"
     assert pi == f"| EIPO | 0.011 | 101 W | 0.0 % | 0.0 % | 101 J/m | 400, 400, 400 | {each} |"
     assert prime == f"| pi' of EIPO | 0.011 | 505 W | 0.0 % | 0.0 % | 505 J/m |  | {each} |"
     head, _, *lines = claims.summary(runs + arm("velocity", power=7.0))
-    assert head == "| flat | score | power | fell | seeds |"
+    assert head == "| flat, 600 iterations | score | power | fell | seeds |"
     assert lines[0] == "| EIPO | 0.01 | 101 W | 0.0 % | 3 |"
-    assert lines[1] == "| velocity | peak [m/s] | power | fell | seeds |"
+    assert lines[1] == "| velocity, 1000 iterations | peak [m/s] | power | fell | seeds |"
     assert lines[3] == "| EIPO | 3.10 | 7 W | 0.0 % | 3 |"
 
 
@@ -207,7 +209,10 @@ def test_runs_that_count(tmp_path, capsys):
     write(tmp_path / "flat", ("b", 10, "new"), ("c", 11, "new"), *others)
     groups = claims.counted(tmp_path)
     names = {group: [run.name for run in kinds["EIPO"]] for group, kinds in groups.items()}
-    assert list(names.items()) == [("flat, 4000 iterations", ["long"]), ("flat", ["b", "c"])]
+    assert list(names.items()) == [
+        ("flat, 4000 iterations", ["long"]),
+        ("flat, 600 iterations", ["b", "c"]),
+    ]
     write(tmp_path / "more" / "flat", ("a", 10, "0ld"), ("b", 11, "new"))
     assert main(["claims", "--results", str(tmp_path / "more")]) == 2
     assert "0ld, new" in capsys.readouterr().err

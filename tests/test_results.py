@@ -85,7 +85,9 @@ def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
 
 def test_fig4_has_a_panel_for_flat_and_for_rough_ground():
     rows, figure = figures.fig4([eight(0), eight(0, task="rough")])
-    assert cells(rows, "group", "run") == [("flat", "EIPO"), ("rough", "EIPO")]
+    assert cells(rows, "group", "run") == [
+        (f"{task}, 600 iterations", "EIPO") for task in ("flat", "rough")
+    ]
     drawn = [axes.lines[0].get_ydata().tolist() for axes in figure.axes]
     assert drawn == 2 * [[100 * i + 3.5 for i in range(11)]]
 
@@ -166,7 +168,7 @@ def test_kinds_of_runs():
         h=dict(lam=0.0, algo="ppo", seed=1),
     )
     several = [made(name, **given) for name, given in settings.items()]
-    flat = by_group(several, "flat")["flat"]
+    (flat,) = by_group(several, "flat").values()
     assert {name: [run.name for run in runs] for name, runs in flat.items()} == {
         "EIPO": ["f"],
         "EIPO, 64 robots": ["c"],
@@ -183,11 +185,11 @@ def test_a_longer_run_is_of_another_group():
     runs = [made("a"), made("b", lr_alpha=0.01, **long), made("c", lr_alpha=0.5, **long)]
     groups = by_group([*runs, made("d", "rough")])
     assert {group: list(kinds) for group, kinds in groups.items()} == {
-        "flat": ["EIPO"],
+        "flat, 600 iterations": ["EIPO"],
         "flat, 4000 iterations": ["EIPO", "EIPO at eta_alpha 0.5"],
-        "rough": ["EIPO"],
+        "rough, 600 iterations": ["EIPO"],
     }
-    assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough"]
+    assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough, 600 iterations"]
 
 
 @pytest.mark.parametrize(("other", "says"), [({}, "nothing"), (dict(history=3), "history")])
