@@ -104,7 +104,8 @@ def train(folder, envs, cfg, options, typed):
         if stop is None:  # the first iteration is done: from now on there is something to keep
             stop = StopRequest()
             if is_main:
-                run_folder.save_config(folder, env_cfg, cfg, typed, options.resume)
+                device = jax_setup.device()
+                run_folder.save_config(folder, env_cfg, cfg, typed, device, options.resume)
         stopped = parallel.sync_stop_and_curriculum(stop.requested, weights, weights_before)
         steps = state.iteration * cfg.num_steps * cfg.num_envs
         row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
@@ -142,7 +143,7 @@ def main(argv):
     is_main = not options.process
     folder, env_cfg, cfg = prepare(options, *given)
     with parallel.together(options.coordinator, options.processes, options.process):
-        jax_setup.find_device()
+        jax_setup.device()  # refuses before anything is written
         parallel.check_same_start(*given, options.resume, options.checkpoint_every)
         envs = make_envs(env_cfg, cfg, options.threads)
         with run_folder.lock(folder) if is_main else nullcontext():

@@ -103,10 +103,11 @@ def cpu_model():
     return names[0] if names else platform.processor()
 
 
-def save_config(folder, env_cfg, cfg, typed, resume=False):
+def save_config(folder, env_cfg, cfg, typed, device, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
-    typed: list of the words of the command line; resume: whether to keep earlier starts' entries
+    typed: list of the words of the command line; device: what JAX computes on, see
+    `jax_setup.device`; resume: whether to keep earlier starts' entries
     """
     path = folder / "config.json"
     with reading(path):
@@ -114,7 +115,7 @@ def save_config(folder, env_cfg, cfg, typed, resume=False):
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)
-    about |= dict(cpu=cpu_model(), cores=go1_env.CORES)
+    about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=device)
     config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     text = json.dumps(config, indent=1) + "\n"
     replace_file(path, lambda file: file.write(text.encode()))

@@ -230,7 +230,7 @@ def make_run(folder, task="flat", **learner):
     env = go1_env.Go1Env(1, env_cfg, 1)
     pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.ppo_cfg)
     folder.mkdir(exist_ok=True)
-    run_folder.save_config(folder, env_cfg, cfg, [])
+    run_folder.save_config(folder, env_cfg, cfg, [], "cpu")
     run_folder.save_policy(folder / "policy.npz", plain_policy(pi.params, env), env_cfg)
     return folder
 

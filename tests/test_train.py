@@ -102,6 +102,7 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     (start,) = record["starts"]
     assert start["command"] == shlex.join(["python", *map(str, command[1:])])
     assert start["versions"]["mujoco"] and start["cores"] >= 1 and start["cpu"]
+    assert start["device"] == "cpu"  # the tests ask JAX for nothing else
 
 
 def test_each_policy_is_saved_under_its_own_name(tmp_path):
