@@ -287,9 +287,9 @@ def alpha(runs):
             algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
             if algo == "ppo" and lam > 0:
                 mean = tables.means(arm)[1]
-                label = f"{name}: {mean[score_of(group)]:.2f} on {mean['power']:.0f} W"
+                label = f" {name}:\n {mean[score_of(group)]:.2f} on {mean['power']:.0f} W"
                 axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
-                at = dict(xycoords=("axes fraction", "data"), ha="right", va="bottom")
+                at = dict(xycoords=("axes fraction", "data"), va="center")
                 axes.annotate(label, (1, 1 / lam), fontsize=7, **at)
             for run in arm if algo == "eipo" else []:
                 x, y = (run.metrics[key] for key in ("iteration", "alpha"))

@@ -135,7 +135,7 @@ def test_alpha_over_iterations_beside_one_over_lambda():
     ]
     dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
     assert [line.get_ydata()[0] for line in dotted] == [200]
-    assert [text.get_text() for text in figure.axes[0].texts] == ["PPO(0.005): 1.25 on 100 W"]
+    assert [text.get_text() for text in figure.axes[0].texts] == [" PPO(0.005):\n 1.25 on 100 W"]
 
 
 def test_fig6_has_a_line_for_each_seed_and_their_mean():
