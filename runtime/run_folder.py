@@ -106,8 +106,7 @@ def cpu_model():
 def save_config(folder, env_cfg, cfg, typed, device, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
-    typed: list of the words of the command line; device: what JAX computes on, see
-    `jax_setup.device`; resume: whether to keep earlier starts' entries
+    typed: words of the command line; device: of `jax_setup`; resume: keep earlier starts' entries
     """
     path = folder / "config.json"
     with reading(path):
