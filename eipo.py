@@ -14,14 +14,13 @@ in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
 `action_size`, as `go1_env.Go1Env` documents them. An observation is the whole history of IV-C.a.
-With a mirror (D28) the environment is a `mirror.Mirrored`, which converts what it shows and what it
-is told. `train.py` makes one for each policy, and picks the algorithm. This file knows nothing of
-files or of other processes. The loop over iterations is plain Python, so that a `breakpoint()`
-works in it. Acting and learning are compiled. D6 is an entry of `deviations.md`, which says where
-we depart from the paper and why; "the lab" there is the authors' group and its public code.
+`train.py` makes one for each policy, and picks the algorithm. The loop over iterations is plain
+Python, so that a `breakpoint()` works in it. Acting and learning are compiled. D6 is an entry of
+`deviations.md`, which says where we depart from the paper and why; "the lab" there is the authors'
+group and its public code.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -29,7 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from networks import sample, value
+from networks import init_params, sample, value
 from ppo import Learner, PPOConfig, init_learner, ppo_update
 
 
@@ -47,16 +46,6 @@ class Config(PPOConfig):
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha
     mirror: bool = True  # [ours] let `train.py` tie weights by the robot's left-right mirror (D28)
-
-    @property
-    def ppo_cfg(self):
-        """The PPOConfig alone, with which functions are compiled, so that a seed compiles none."""
-        return PPOConfig(**{f.name: getattr(self, f.name) for f in fields(PPOConfig)})
-
-    @property
-    def cost_scale(self):
-        """Factor on f in what the critic learns: lam, since lam f is not far above r (D6)."""
-        return self.lam or 1e-6  # not 0, as `estimate` divides by it
 
 
 class Dual(NamedTuple):
@@ -98,7 +87,7 @@ class Estimate(NamedTuple):
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
-    target: jax.Array  # (T, N, K) TD(gae_lambda) returns of r and cost_scale f, for the critic
+    target: jax.Array  # (T, N, K) TD(gae_lambda) returns of r and lam f, for the critic
 
 
 # ---- Algorithm 1 ----
@@ -113,7 +102,7 @@ def eipo(env, env_prime, cfg, state=None):
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
-    state = state or init_state(env, env_prime, cfg)  # which does what lines 3 and 4 say
+    state = state or init_state([env, env_prime], cfg)  # which does what lines 3 and 4 say
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
     dual = state.dual  # Alg.1 L4
     for iteration in range(state.iteration + 1, cfg.iterations + 1):  # Alg.1 L5
@@ -121,19 +110,19 @@ def eipo(env, env_prime, cfg, state=None):
         tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo_cfg)
+        est = estimate(pi, tau, cfg)
         advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
-        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.ppo_cfg)  # Alg.1 L9
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)  # Alg.1 L9
 
-        est_prime = estimate(pi_prime, tau_prime, cfg.cost_scale, cfg.ppo_cfg)  # Alg.1 L10
+        est_prime = estimate(pi_prime, tau_prime, cfg)  # Alg.1 L10
         advantage_prime = est_prime.advantage[..., 0]
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
-            pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg.ppo_cfg
+            pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        metrics = summary(est, dual.alpha, 1) | dict(alpha=dual.alpha, gap=gap) | log | losses
-        metrics |= {f"prime_{name}": x for name, x in (log_prime | losses_prime).items()}
+        logs = dict(alpha=dual.alpha, gap=gap) | log | losses, log_prime | losses_prime
+        metrics = summary(est, dual.alpha, 1, *logs)
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
         yield State(iteration, state.key, pi, pi_prime, dual), metrics
     # Alg.1 L14  end for
@@ -141,15 +130,16 @@ def eipo(env, env_prime, cfg, state=None):
 
 def ppo(env, cfg, state=None):
     """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
-    state = state or init_state(env, None, cfg)
+    state = state or init_state([env], cfg)
     pi = state.pi
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
-        est = estimate(pi, tau, cfg.cost_scale, cfg.ppo_cfg)
+        est = estimate(pi, tau, cfg)
         advantage = mix(est.advantage, 1, cfg.lam)
-        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg.ppo_cfg)
-        yield State(iteration, state.key, pi, None, None), summary(est, 1, cfg.lam) | log | losses
+        pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)
+        metrics = summary(est, 1, cfg.lam, log | losses)
+        yield State(iteration, state.key, pi, None, None), metrics
 
 
 def iteration_keys(key, iteration):
@@ -157,31 +147,36 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, task_weight, cost_weight):
-    """Metrics of an iteration: J(pi), and the task's share of pi's objective, weighted as in `mix`.
+def summary(est, task_weight, cost_weight, log, log_prime=None):
+    """Metrics of an iteration: J(pi), the task's share of pi's objective, and what was logged.
 
-    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)). Near 1 the cost has no say.
+    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)), with weights as in `mix`. Near 1 the
+    cost has no say. What was logged of pi_prime gets names that begin with "prime_".
     """
     weighted = est.advantage.std((0, 1)) * jnp.array([task_weight, cost_weight])
-    return dict(J=estimate_J(est), task_share=weighted[0] / (weighted.sum() + 1e-30))
+    share = weighted[0] / (weighted.sum() + 1e-30)
+    of_prime = {f"prime_{name}": x for name, x in (log_prime or {}).items()}
+    return dict(J=estimate_J(est), task_share=share) | log | of_prime
 
 
 # ---- L3, L4: the start ----
 
 
-def init_state(env, env_prime, cfg):
+def init_state(envs, cfg, init=init_params):
     """The State before the first iteration: random policies, alpha_0, environments that were reset.
 
-    env_prime: None for PPO
+    envs: of pi and, for EIPO, of pi_prime
+    init: makes networks, see `ppo.init_learner`
     """
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
-    env.reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
-    pi = init_learner(rng, env, ("reward", "cost"), cfg.ppo_cfg)
-    if env_prime is None:
+    envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
+    # the critic learns lam f, which is not far above r (D6); if nobody weighs f, then f itself
+    pi = init_learner(rng, envs[0], dict(reward=1.0, cost=cfg.lam or 1.0), cfg, init)
+    if len(envs) == 1:
         return State(0, key, pi, None, None)
-    env_prime.reset(2 * cfg.seed + 1)
-    pi_prime = init_learner(rng_prime, env_prime, ("reward",), cfg.ppo_cfg)
+    envs[1].reset(2 * cfg.seed + 1)
+    pi_prime = init_learner(rng_prime, envs[1], dict(reward=1.0), cfg, init)
     return State(0, key, pi, pi_prime, Dual(1 / cfg.lam, 0.0))
 
 
@@ -201,11 +196,11 @@ def rollout(env, learner, key, cfg):
     """
     steps = []
     logs = []
+    obs, privileged = env.observe()
     for t in range(cfg.num_steps):
-        obs, privileged = env.observe()
         action, log_prob = map(np.asarray, act(learner, obs, key, t))
         # where an episode ended the next one has begun; final_obs is always from before that reset
-        _, reward, terminated, truncated, info = env.step(action)
+        following, reward, terminated, truncated, info = env.step(action)
         transition = Transition(
             obs=obs,
             privileged=privileged,
@@ -219,6 +214,7 @@ def rollout(env, learner, key, cfg):
             next_privileged=info["final_privileged"],
         )
         steps.append(transition)
+        obs, privileged = following, info["privileged"]
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
     tau = Transition(*map(np.stack, zip(*steps, strict=True)))
     return tau, {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
@@ -228,21 +224,21 @@ def rollout(env, learner, key, cfg):
 
 
 @partial(jax.jit, static_argnames="cfg")
-def estimate(learner, tau, cost_scale, cfg):
+def estimate(learner, tau, cfg):
     """The Estimate of a rollout, in which r and f stay apart, or of r alone for pi_prime.
 
     GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
-    alpha moves. cfg: PPOConfig
+    alpha moves.
     """
     values = value(learner.params, tau.obs, tau.privileged)
     next_values = value(learner.params, tau.next_obs, tau.next_privileged)
-    r_and_f = jnp.stack([getattr(tau, name) for name in learner.streams], -1)
-    # the critic learns r and cost_scale f, which is of moderate size; line 8 mixes r and f
-    unit = jnp.array([cost_scale if name == "cost" else 1.0 for name in learner.streams])
-    earned = cfg.reward_scale * unit * r_and_f
+    r_and_f = jnp.stack([getattr(tau, name) for name, _ in learner.streams], -1)
+    scale = jnp.array([factor for _, factor in learner.streams])
+    earned = cfg.reward_scale * scale * r_and_f
     ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
-    return Estimate(advantage=advantage / unit, target=advantage + values)
+    # the critic learns scaled numbers, which are of moderate size; line 8 mixes r and f as they are
+    return Estimate(advantage=advantage / scale, target=advantage + values)
 
 
 def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):

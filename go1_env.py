@@ -26,10 +26,11 @@ import rewards
 import tasks
 import terrain
 
+# MuJoCo would write MUJOCO_LOG.TXT into the user's folder. `Go1Env` counts warnings instead.
+mujoco.set_mju_user_warning(lambda message: None)
 # how many cores this process may use
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
-ACTION_SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action [lab code]
 
 
 class Part(NamedTuple):
@@ -56,8 +57,6 @@ WIDTHS = [len(part.mirror[0]) for part in FRAME.values()]
 FRAME_WIDTH = sum(WIDTHS)
 FRAME_SCALE = np.concatenate([np.ones(len(part.mirror[0])) * part.scale for part in FRAME.values()])
 FRAME_NOISE = np.repeat([part.noise for part in FRAME.values()], WIDTHS)
-INDEX, SIGN = map(np.concatenate, zip(*(part.mirror for part in FRAME.values()), strict=True))
-FRAME_MIRROR = INDEX + np.repeat(np.cumsum([0, *WIDTHS[:-1]]), WIDTHS), SIGN  # of a whole frame
 
 
 class Physics(NamedTuple):
@@ -66,6 +65,21 @@ class Physics(NamedTuple):
     torque: np.ndarray  # (S, N, 12) [N m] that was applied in each
     speed: np.ndarray  # (S + 1, N, 12) [rad/s] of the joints, before the first and after each
     touched: np.ndarray  # (N, 17) bool, which sensors of go1.xml touched the ground in any
+
+
+class Outcome(NamedTuple):
+    """What each of N robots earned in a control step, and why its episode may end: (N,) each."""
+
+    reward: np.ndarray  # [-] what is learned: the task's, or the shaped one
+    task_reward: np.ndarray  # [-] Eqs. (5) to (8)
+    cost: np.ndarray  # [W] Eq. (9) or [-] Eq. (11)
+    power: np.ndarray  # [W] Eq. (9) without its bonus
+    fell: np.ndarray  # bool, it touched the ground with what must not touch it
+    overload: np.ndarray  # bool, it drew more than max_power
+
+
+# of a robot whose numbers are not finite; at this power the cost of Eq. (9) is 0 (D36)
+NOTHING = Outcome(0.0, 0.0, 0.0, power=energy.SURVIVAL, fell=False, overload=False)
 
 
 class Go1Env:
@@ -88,12 +102,14 @@ class Go1Env:
         self.task = tasks.TASKS[env_cfg.task]
         self.commands = commands or self.task.commands()
         self.obs_size = env_cfg.history * FRAME_WIDTH
-        self.mirror = dict(frame=FRAME_MIRROR, privileged=([0, 1, 2], [1, -1, 1]), action=JOINTS)
+        self.mirror = dict(  # of each the parts, one after the other
+            obs=[part.mirror for part in FRAME.values()] * env_cfg.history,
+            privileged=[([0, 1, 2], [1, -1, 1])],
+            action=[JOINTS],
+        )
         self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
-        # MuJoCo would write MUJOCO_LOG.TXT into the user's folder. `step` counts warnings instead.
-        mujoco.set_mju_user_warning(lambda message: None)
-        # computed from the greatest down, because linspace with one tile returns its first end
-        levels = np.linspace(*env_cfg.roughness[::-1], env_cfg.tiles)[::-1]
+        low, high = env_cfg.roughness
+        levels = np.linspace(low, high, env_cfg.tiles) if env_cfg.tiles > 1 else np.array([high])
         self.ground = None
         if levels.any():
             self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m)
@@ -157,52 +173,45 @@ class Go1Env:
     def step(self, action):
         """One control step of 20 ms for every robot.
 
-        action:  (N, 12) [-]; joint targets are q_nominal + ACTION_SCALE * action
+        action:  (N, 12) [-]; joint targets are q_nominal + action_scale * action
         returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
+                 privileged  (N, 3) [m/s], as `observe` returns it with obs
                  cost        (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps
-                 final_obs, final_privileged  as `observe` shows them before any robot starts anew
+                 final_obs, final_privileged  the same two before any robot starts anew
                  log         {name: (N,)}, numbers whose means tell how training goes
         """
-        state, env_cfg = self.state, self.env_cfg
+        state = self.state
         action_before = state.action.copy()
-        state.action[:] = np.clip(action, -env_cfg.action_limit, env_cfg.action_limit)
-        physics = self._physics(go1.Q_NOMINAL + ACTION_SCALE * state.action)
-        state.age += 1
+        limit = self.env_cfg.action_limit
+        state.action[:] = np.clip(action, -limit, limit)
+        physics = self._physics(go1.Q_NOMINAL + go1.ACTION_SCALE * state.action)
         motion = go1.motion(self.qpos, self.qvel)
-        # MuJoCo resets a simulation that is not finite and counts a warning. Any warning ends the
-        # episode, and this step has reward 0 and cost 0 (D36).
-        diverged = self.batch.warning[..., 1].any(-1) | ~np.isfinite(state.action).all(-1)
-        state.action[diverged] = 0.0  # the action may be what was not finite
-        velocity = motion.heading
-        if env_cfg.velocity_frame == "body":  # D25
-            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
-        state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
-        reward = task_reward = self.task.reward(velocity, state.command)  # Eqs. (5) to (8)
-        if env_cfg.reward == "shaped":
-            reward = self._shaped_reward(velocity, motion, physics, action_before)
-        power, cost = self._power_and_cost(physics)
-        reward, cost = np.where(diverged, 0.0, [reward, cost])
-        power = np.where(diverged, energy.SURVIVAL, power)  # at which the cost of Eq. (9) is 0
-        forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
-        fell = physics.touched[:, forbidden].any(-1) & ~diverged  # however lightly it touches
-        limit = np.inf if env_cfg.max_power is None else env_cfg.max_power
-        overload = (power > limit) & ~fell & ~diverged
-        terminated = diverged | fell | overload
-        truncated = ~terminated & (state.age >= env_cfg.episode_steps)
-        log = self._log(motion, power, np.where(diverged, 0.0, task_reward))
-        log |= dict(ended_fall=fell, ended_diverged=diverged)
-        log |= dict(ended_limit=truncated, ended_power=overload)
+        state.age += 1
+
+        outcome = self._outcome(physics, motion, action_before)
+        diverged = self._diverged()
+        if diverged.any():
+            state.action[diverged] = 0.0  # the action may be what was not finite
+            outcome = Outcome(*(np.where(diverged, *x) for x in zip(NOTHING, outcome, strict=True)))
+        terminated = diverged | outcome.fell | outcome.overload
+        truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
+        log = self._log(motion, outcome)
+        log |= dict(ended_fall=outcome.fell, ended_diverged=diverged)
+        log |= dict(ended_limit=truncated, ended_power=outcome.overload)
+
         if self.ground is not None:  # a robot that left its tile comes back on the other side
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
-        self._next_command(np.flatnonzero(state.age % env_cfg.command_steps == 0))
+        self._next_command(np.flatnonzero(state.age % self.env_cfg.command_steps == 0))
         state.frames[:, :-1] = state.frames[:, 1:]
         state.frames[:, -1] = self._frame(motion)
         state.velocity[:] = motion.body
-        final_obs, final_privileged = self.observe()
-        info = dict(cost=cost, log=log, final_obs=final_obs, final_privileged=final_privileged)
+        obs, privileged = final_obs, final_privileged = self.observe()
         if (ended := np.flatnonzero(terminated | truncated)).size:
             self._start(ended)
-        return self.observe()[0], reward, terminated, truncated, info
+            obs, privileged = self.observe()
+        info = dict(cost=outcome.cost, log=log, privileged=privileged)
+        info |= dict(final_obs=final_obs, final_privileged=final_privileged)
+        return obs, outcome.reward, terminated, truncated, info
 
     # ---- one control step ----
 
@@ -229,6 +238,30 @@ class Go1Env:
             touched |= self.contacts > 0  # each counts the contacts of its part
             speeds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
         return Physics(np.array(torques), np.array(speeds), touched)
+
+    def _outcome(self, physics, motion, action_before):
+        """The Outcome of a control step."""
+        state, env_cfg = self.state, self.env_cfg
+        velocity = motion.heading
+        if env_cfg.velocity_frame == "body":  # D25
+            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
+        reward = task_reward = self.task.reward(velocity, state.command)  # Eqs. (5) to (8)
+        if self.commands.learns:
+            state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
+        if env_cfg.reward == "shaped":
+            reward = self._shaped_reward(velocity, motion, physics, action_before)
+        power, cost = self._power_and_cost(physics)
+        forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
+        fell = physics.touched[:, forbidden].any(-1)  # however lightly it touches
+        limit = np.inf if env_cfg.max_power is None else env_cfg.max_power
+        return Outcome(reward, task_reward, cost, power, fell, (power > limit) & ~fell)
+
+    def _diverged(self):
+        """Which robots have numbers that are not finite, (N,): their episodes end (D36).
+
+        MuJoCo resets such a simulation and counts a warning, and any warning counts.
+        """
+        return self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
 
     def _power_and_cost(self, physics):
         """Power (N,) [W] and auxiliary cost f (N,) of Physics, means over its steps."""
@@ -268,12 +301,13 @@ class Go1Env:
             joint_range=self.joint_range,
         )
 
-    def _log(self, motion, power, task_reward):
+    def _log(self, motion, outcome):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
-        log = dict(v_x=motion.heading[:, 0], power=power, command_x=self.state.command[:, 0].copy())
+        command_x = self.state.command[:, 0].copy()
+        log = dict(v_x=motion.heading[:, 0], power=outcome.power, command_x=command_x)
         if self.env_cfg.reward == "shaped":
-            log |= dict(task_reward=task_reward)
-        if self.commands.weights.size:
+            log |= dict(task_reward=outcome.task_reward)
+        if self.commands.learns:
             log |= dict(command_area=np.full(self.num_envs, self.commands.weights.mean()))
         return log
 

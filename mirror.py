@@ -1,125 +1,141 @@
-"""An environment in coordinates in which the robot's mirror changes signs alone (D28).
+"""An MLP that treats left and right alike, to take the place of a `networks.MLP` (D28).
 
 The mirror M of a Go1 swaps its right and left legs, changes the signs of v_y, the yaw rate, roll
 and the angles of the hips, and moves the clock by half a period. Robot and tasks are symmetric, but
 for some millimetres (D28). So is Eq. (9) with the power clip, but not with the torque clip (D3). So
 with the power clip a policy loses nothing if it commutes with M: if pi(M s) = M pi(s).
 
-M keeps (right + s left) / sqrt 2, which is even, and negates (right - s left) / sqrt 2, which is
-odd. s is the sign that M gives to the pair, -1 for hips. An entry without a partner, such as v_y,
-is even or odd by itself. In these coordinates one product of n x m becomes two of about n/2 x m/2
-(`networks.py`).
+Half of the units of a hidden layer are right ones, and the left ones see the mirrored world with
+the same weights. That alone would cost as much as an ordinary MLP. But x is the sum of an even
+part, (x + M x) / 2, which M keeps, and of an odd part, (x - M x) / 2, which M negates, and each has
+about half as many numbers as x, since the rest are those again, up to their signs. So
 
-`Mirrored` shows what an environment shows in these coordinates, the even ones first, and turns
-actions back. Whoever learns from it need not know. Without it everything works as well, with
-networks that know no mirror.
+    right units   even @ A + odd @ B + bias
+    left units    even @ A - odd @ B + bias
+
+take two products of half the size, and half as long.
+
+A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array may have
+several parts, one after the other, and a list of mirrors, one for each. An environment has such
+lists for all that it shows or is told, in `mirror`.
 """
 
+from dataclasses import dataclass, field
+
+import jax
 import numpy as np
-from scipy.linalg import block_diag
 
-from networks import join, sum_and_difference
-
-
-def basis(index, sign):
-    """Even and odd coordinates for M with (M x)[i] = sign[i] x[index[i]]: two matrices (n, m).
-
-    Their columns are orthonormal, and x @ matrix are the coordinates of x. M is its own inverse.
-    """
-    index, here = np.array(index), np.arange(len(index))
-    identity = np.eye(len(index))
-    M = np.array(sign)[:, None] * identity[index]
-    # M keeps the columns of I + M and negates those of I - M, where each pair has one column twice,
-    # up to its sign, and one of the two columns of an entry without a partner is 0
-    parts = [(identity + s * M)[:, here <= index] for s in (1, -1)]
-    parts = [part[:, part.any(0)] for part in parts]
-    return [(part / np.linalg.norm(part, axis=0)).astype(np.float32) for part in parts]
+import networks
 
 
-class Mirrored:
-    """An environment in even and odd coordinates.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class MirroredMLP:
+    """An MLP f with f(M x) = M f(x), which is called like a `networks.MLP`.
 
-    A size is two numbers: how many coordinates are even and how many are odd. In obs (N, D) the
-    even ones of all frames come first.
+    halves: of each layer A (n, m) of n even inputs, B (k, m) of k odd ones, and bias (m,), for m
+            pairs of units, or for all m outputs
+    enter, leave: the mirrors of inputs and of outputs
     """
 
-    def __init__(self, env):
-        """env: as go1_env.Go1Env, whose `mirror` has index and sign of frame, privileged, action"""
-        self.env, self.num_envs = env, env.num_envs
-        frame, privileged, action = (
-            basis(*env.mirror[name]) for name in ("frame", "privileged", "action")
-        )
-        self.history = env.obs_size // len(frame[0])
-        self.obs_size = [self.history * part.shape[1] for part in frame]
-        self.privileged_size = [part.shape[1] for part in privileged]
-        self.action_size = [part.shape[1] for part in action]
-        self.frame_basis = frame
-        self.privileged_basis, self.action_basis = np.hstack(privileged), np.hstack(action)
+    halves: list
+    enter: tuple = field(metadata=dict(static=True))
+    leave: tuple = field(metadata=dict(static=True))
 
-    def reset(self, seed):
-        """Start new episodes. Returns obs and an empty info."""
-        self.env.reset(seed)
-        return self.observe()[0], {}
+    def __call__(self, x):
+        """Outputs (..., m) for inputs (..., n)."""
+        even, odd = parts(x, self.enter)
+        for i, (A, B, bias) in enumerate(self.halves):
+            if i:
+                # ELU is not linear: it needs the right and left units, not their even and odd parts
+                right, left = jax.nn.elu(even + odd), jax.nn.elu(even - odd)
+                even, odd = (right + left) / 2, (right - left) / 2
+            even, odd = even @ A + bias, odd @ B
+        # the mean of what the right units say, and of the image of what the left ones say
+        return (even + odd + reflect(even - odd, self.leave)) / 2
 
-    def observe(self):
-        """obs (N, D) and the privileged part (N, P), in these coordinates."""
-        return self.turned(*self.env.observe())
+    @property
+    def layers(self):
+        """The layers [(W (n, m), b (m,)), ...] of the `networks.MLP` that equals this one, float32.
 
-    def step(self, action):
-        """As that of the environment; action (N, A), obs and what is final in these coordinates."""
-        _, *result, info = self.env.step(action @ self.action_basis.T)
-        obs, privileged = self.turned(info["final_obs"], info["final_privileged"])
-        info |= dict(final_obs=obs, final_privileged=privileged)
-        return self.observe()[0], *result, info
-
-    def turned(self, obs, privileged):
-        """obs (N, D) and the privileged part (N, P) of the environment, in these coordinates."""
-        frames = obs.reshape(len(obs), self.history, -1)
-        parts = [(frames @ part).reshape(len(obs), -1) for part in self.frame_basis]
-        return np.hstack(parts), privileged @ self.privileged_basis
+        Of each hidden layer the right units come first.
+        """
+        layers, mirror = [], self.enter
+        for A, B, bias in self.halves:
+            even, odd = parts(np.eye(len(mirror[0])), mirror)
+            right, left = even @ A + odd @ B, even @ A - odd @ B
+            layers.append((np.hstack([right, left]), np.tile(bias, 2)))
+            mirror = swap(2 * len(bias))
+        halves = [np.split(x, 2, -1) for x in layers[-1]]
+        layers[-1] = [(right + reflect(left, self.leave)) / 2 for right, left in halves]
+        return [(np.float32(weights), np.float32(bias)) for weights, bias in layers]
 
 
-def coordinates(env):
-    """Matrices for obs (D, D), privileged (P, P) and action (A, A): env shows x @ matrix.
+def tied(mlp, enter, leave):
+    """The MirroredMLP that has the right units of an MLP, and their images as left ones.
 
-    Without a mirror these are identities.
+    enter, leave: the mirrors of inputs and of outputs. Outputs are the mean of what the MLP's last
+    layer says of these units, and of the image of what it says of the mirrored ones.
     """
-    if not isinstance(env, Mirrored):
-        return [np.eye(n) for n in (env.obs_size, env.privileged_size, env.action_size)]
-    obs = np.hstack([np.kron(np.eye(env.history), part) for part in env.frame_basis])
-    return obs, env.privileged_basis, env.action_basis
+    halves, mirror = [], enter
+    for i, (weights, bias) in enumerate(mlp.layers):
+        m = len(bias) if i + 1 == len(mlp.layers) else len(bias) // 2
+        # a number of the even part that stands for two of x gets the weights of both
+        twice = 1 + (np.arange(len(weights)) != mirror[0])
+        A, B = (part.T for part in parts(twice * weights[:, :m].T, mirror))
+        halves.append((np.float32(A), np.float32(B), bias[:m]))
+        mirror = swap(len(bias))
+    return MirroredMLP(halves, enter, leave)
 
 
-def plain_policy(params, env):
-    """The policy that learned from env as plain MLPs, for whatever knows no mirror.
-
-    Returns layers [(W (n, m), b (m,)), ...] of actor and estimator, by name, float32.
-    """
-    obs, privileged, action = coordinates(env)
-    zeros = np.zeros((len(obs), len(privileged)))
-    state = np.vstack([join(params, obs, zeros), join(params, zeros.T, privileged)])
-    return dict(
-        actor=plain(params["actor"], state, action),
-        estimator=plain(params["estimator"], obs, privileged),
+def init_params(rng, env, heads, cfg):
+    """As `networks.init_params`, of networks that commute with the mirrors of env."""
+    obs, privileged, action = (env.mirror[x] for x in ("obs", "privileged", "action"))
+    values = [([0], [1])] * heads  # which a mirror does not change
+    state = joined(obs + privileged)
+    sides = dict(
+        actor=(state, joined(action)),
+        critic=(state, joined(values)),
+        estimator=(joined(obs), joined(privileged)),
     )
+    params = networks.init_params(rng, env, heads, cfg)
+    return params | {net: tied(params[net], *mirrors) for net, mirrors in sides.items()}
 
 
-def plain(layers, enter, leave):
-    """The layers [(W (n, m), b (m,)), ...] of the plain MLP that equals `layers`.
+# ---- mirrors ----
 
-    enter, leave: (n, n) and (m, m), whose columns are coordinates of what enters and what leaves
+
+def reflect(x, mirror):
+    """M x for x (..., n)."""
+    index, sign = np.array(mirror)
+    return sign * x[..., index]
+
+
+def parts(x, mirror):
+    """The even and the odd part of x (..., n): (..., n) and (..., k), each number once.
+
+    They begin with one number for each pair. A number without a partner, such as v_y, is even or
+    odd, and not in the other part.
     """
-    result = []
-    for i, layer in enumerate(layers):
-        weights = block_diag(*layer.weights)
-        bias = np.pad(layer.bias, (0, weights.shape[1] - len(layer.bias)))
-        if i + 1 < len(layers):  # plain hidden units are right ones, then left ones
-            parts = np.split(np.eye(len(bias)), len(layer.weights), 1)
-            after = np.hstack(sum_and_difference(parts))
-        else:
-            after = leave
-        # from plain inputs to coordinates, through the layer, and back
-        both = enter @ weights @ after.T, bias @ after.T
-        result.append(tuple(x.astype(np.float32) for x in both))
-        enter = after
-    return result
+    xp = x.__array_namespace__()  # NumPy or JAX, of whichever x is
+    index, sign = np.array(mirror)
+    here = np.arange(len(index))
+    first = np.flatnonzero(here < index)
+    right, left = x[..., first], sign[first] * x[..., index[first]]
+    even, odd = (x[..., (here == index) & (sign == s)] for s in (1, -1))
+    even = xp.concat([(right + left) / 2, even], axis=-1)
+    return even, xp.concat([(right - left) / 2, odd], axis=-1)
+
+
+def swap(n):
+    """The mirror of n units, of which the first half are right ones."""
+    return (*range(n // 2, n), *range(n // 2)), (1,) * n
+
+
+def joined(mirrors):
+    """The mirror of arrays one after the other. It is of tuples, because JAX wants to hash it."""
+    index, sign = [], []
+    for part_index, part_sign in mirrors:
+        index += [len(index) + int(i) for i in part_index]
+        sign += [int(s) for s in part_sign]
+    return tuple(index), tuple(sign)

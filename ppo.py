@@ -45,33 +45,21 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    streams: tuple = field(metadata=dict(static=True))  # which of reward and cost it learns from
+    # what it learns from: names, and the factors with which its critic does, see `init_learner`
+    streams: tuple = field(metadata=dict(static=True))
 
 
-def init_learner(rng, env, streams, cfg):
+def init_learner(rng, env, streams, cfg, init=init_params):
     """A new Learner for an environment, whose networks are random.
 
     rng:     np.random.Generator
-    streams: ("reward", "cost") for pi, ("reward",) for pi_prime. The critic has an output for each.
+    streams: what it learns from, "reward" and perhaps "cost", with a factor that makes each of
+             moderate size for the critic, which has an output for each
+    init:    `networks.init_params`, or what takes and returns the same
     """
-    params = init_params(rng, env, len(streams), cfg)
-    return Learner(params, jax.jit(optimizer(cfg).init)(params), np.float32(cfg.lr), streams)
-
-
-def optimizer(cfg):
-    """Adam without its step size.
-
-    The gradient of each network is clipped by itself, with the noise's in the actor's. If a number
-    in any is not finite, the whole step is skipped.
-    """
-    clip = dict.fromkeys(
-        ("actor", "critic", "estimator"), optax.clip_by_global_norm(cfg.max_grad_norm)
-    )
-    labels = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
-    adam = optax.scale_by_adam(b1=0.9, b2=0.999)
-    direction = optax.chain(optax.partition(clip, labels), adam)
-    # after so many in a row it would apply one
-    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
+    params = init(rng, env, len(streams), cfg)
+    opt_state = jax.jit(optimizer(cfg).init)(params)
+    return Learner(params, opt_state, np.float32(cfg.lr), tuple(streams.items()))
 
 
 @partial(jax.jit, static_argnames="cfg")
@@ -90,7 +78,8 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
 
     def step(carry, chosen):
         params, opt_state = carry
-        grads, log = gradient(params, data, chosen, cfg)
+        batch = {name: x[chosen] for name, x in data.items()}
+        grads, log = jax.grad(ppo_loss, has_aux=True)(params, batch, cfg)
         direction, opt_state = optimizer(cfg).update(grads, opt_state)
         params = jax.tree.map(lambda p, d: p - learner.lr * d, params, direction)
         params["log_std"] = jnp.clip(params["log_std"], *LOG_STD_RANGE)
@@ -116,15 +105,6 @@ def shuffled(key, size, cfg):
     return orders[:, :whole].reshape(cfg.num_epochs * cfg.num_minibatches, -1)
 
 
-def gradient(params, data, chosen, cfg):
-    """Gradients of `ppo_loss` for a minibatch, and what it logs.
-
-    data: arrays (T * N, ...) by name; chosen: (samples,) which of them
-    """
-    batch = {name: x[chosen] for name, x in data.items()}
-    return jax.grad(ppo_loss, has_aux=True)(params, batch, cfg)
-
-
 def ppo_loss(params, batch, cfg):
     """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
     mean, std, estimate = policy(params, batch["obs"])
@@ -143,6 +123,20 @@ def ppo_loss(params, batch, cfg):
 def clipped_surrogate(ratio, advantage, clip_eps):
     """PPO's objective (...,): min(ratio A, clip(ratio, 1 - eps, 1 + eps) A)."""
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip_eps, 1 + clip_eps) * advantage)
+
+
+def optimizer(cfg):
+    """Adam without its step size.
+
+    The gradient of each network is clipped by itself, with the noise's in the actor's. If a number
+    in any is not finite, the whole step is skipped.
+    """
+    nets = dict(actor="actor", log_std="actor", critic="critic", estimator="estimator")
+    clip = dict.fromkeys(nets.values(), optax.clip_by_global_norm(cfg.max_grad_norm))
+    adam = optax.scale_by_adam(b1=0.9, b2=0.999)
+    direction = optax.chain(optax.partition(clip, nets), adam)
+    # after so many in a row it would apply one
+    return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
 def adapt_lr(lr, kl, cfg):

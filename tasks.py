@@ -15,14 +15,15 @@ import rewards
 
 # ---- commands ----
 
-# Objects with `draw`, `record`, `start` and `weights`. Those of a task also have an `example`, and
-# `low` and `high`, the ends of the viewer's sliders.
+# Objects with `draw`, `record`, `start`, `weights`, and `learns`, whether `record` does anything.
+# Those of a task also have an `example`, and `low` and `high`, the ends of the viewer's sliders.
 
 
 class Range:
     """Commands that are drawn uniformly, from 0 to a greatest one."""
 
     low = np.zeros(3)
+    learns = False
     weights = np.zeros(0)  # what was learned: nothing
 
     def __init__(self, *high):
@@ -65,6 +66,7 @@ class Grid:
 
     # ends of v_x [m/s], v_y [m/s] and yaw rate [rad/s]; v_y is drawn from all of it from the start
     low, high = np.array([-1.0, -0.6, -10.0]), np.array([10.0, 0.6, 10.0])
+    learns = True
     START = 1.0  # m/s and rad/s: commands within +- this at first
     CELL = 0.5  # m/s and rad/s, side of a cell [ours; the lab has 0.4]
     # a success adds this to its cell and the neighbours, and once more to its cell [lab code]

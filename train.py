@@ -10,7 +10,6 @@ import os
 import shlex
 import signal
 import sys
-from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -20,14 +19,12 @@ if __name__ == "__main__":
         # until there is something to save, Ctrl-C ends the process at once: imports take seconds
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-import jax
-import numpy as np
-
 import eipo
 import go1_env
+import mirror
+import networks
 import tasks
-from mirror import Mirrored, plain_policy
-from runtime import checkpoint, jax_setup, metrics, parallel, run_folder
+from runtime import checkpoint, jax_setup, metrics, run_folder
 from runtime.cli import Refused, StopRequest, program
 from runtime.flags import Options, check, parse, settle
 
@@ -39,14 +36,12 @@ def run_path(options, env_cfg, cfg):
     return Path(options.out or f"runs/{name}")
 
 
-def resumed_settings(folder, given, processes):
+def resumed_settings(folder, given):
     """Both Configs of the run in folder, with more iterations if given, and its threads of JAX.
 
     given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, jax_threads, was = checkpoint.load_settings(folder / "checkpoint.npz")
-    if was != processes:
-        raise Refused(f"{folder} is a run on {was} process(es): --resume needs as many")
+    env_cfg, cfg, jax_threads = checkpoint.load_settings(folder / "checkpoint.npz")
     settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
@@ -56,26 +51,22 @@ def resumed_settings(folder, given, processes):
 
 
 def make_envs(env_cfg, cfg, threads):
-    """The environments of pi and, for EIPO, of pi_prime; of several processes, this one's share."""
-    policies = 2 if cfg.algo == "eipo" else 1
-    share = cfg.num_envs // policies // jax.process_count()
-    commands = tasks.TASKS[env_cfg.task].commands()  # of both, so that J(pi) and J(pi') compare
-    return [go1_env.Go1Env(share, env_cfg, threads, commands) for _ in range(policies)]
+    """The environments of pi and, for EIPO, of pi_prime, which share num_envs and one curriculum.
 
-
-def save(folder, state, envs, shown, cfg):
-    """Write checkpoint, policies and pictures into the run folder.
-
-    shown: the environments as the policies see them
+    So J(pi) and J(pi') compare (D23).
     """
+    policies = 2 if cfg.algo == "eipo" else 1
+    commands = tasks.TASKS[env_cfg.task].commands()
+    num_envs = cfg.num_envs // policies
+    return [go1_env.Go1Env(num_envs, env_cfg, threads, commands) for _ in range(policies)]
+
+
+def save(folder, state, envs, cfg):
+    """Write checkpoint, policies and pictures into the run folder."""
     checkpoint.save(folder / "checkpoint.npz", state, envs, cfg)
-    if jax.process_index():
-        return
     for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
         if learner:
-            params = jax.tree.map(np.asarray, learner.params)  # of several processes this one's
-            layers = plain_policy(params, shown[0])
-            run_folder.save_policy(folder / f"{name}.npz", layers, envs[0].env_cfg)
+            run_folder.save_policy(folder / f"{name}.npz", learner.params, envs[0].env_cfg)
     try:
         metrics.draw_curves(folder)
     except Exception as error:  # a picture is not worth a run
@@ -85,35 +76,25 @@ def save(folder, state, envs, shown, cfg):
 def train(folder, envs, cfg, options, typed):
     """Train to the end, from the start or the checkpoint. Returns the last iteration if stopped."""
     env_cfg = envs[0].env_cfg
-    shown = [Mirrored(env) for env in envs] if cfg.mirror else envs
-    shared = shown if jax.process_count() == 1 else [parallel.Shared(env) for env in shown]
-    start = eipo.init_state(shared[0], shared[1] if len(envs) == 2 else None, cfg)
+    init = mirror.init_params if cfg.mirror else networks.init_params
+    start = eipo.init_state(envs, cfg, init)
     if options.resume:
         start = checkpoint.load(folder / "checkpoint.npz", start, envs)
-    arrays = parallel.everywhere(dict(key=start.key, pi=start.pi, pi_prime=start.pi_prime))
-    is_main = jax.process_index() == 0
     log = metrics.Log(folder, start.iteration, cfg.iterations)
-    if is_main:
-        what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
-        print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
-    weights = envs[0].commands.weights
-    weights_before = weights.copy()
+    what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
+    print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
-    for state, row in algorithm(*shared, cfg, start._replace(**arrays)):
+    for state, row in algorithm(*envs, cfg, start):
         if stop is None:  # the first iteration is done: from now on there is something to keep
             stop = StopRequest()
-            if is_main:
-                device = jax_setup.device()
-                run_folder.save_config(folder, env_cfg, cfg, typed, device, options.resume)
-        stopped = parallel.sync_stop_and_curriculum(stop.requested, weights, weights_before)
+            run_folder.save_config(folder, env_cfg, cfg, typed, jax_setup.device(), options.resume)
+        stopped = stop.requested
         steps = state.iteration * cfg.num_steps * cfg.num_envs
-        row = dict(steps=steps) | {name: float(x) for name, x in row.items()}
-        if is_main:
-            log.add(state.iteration, row)
+        log.add(state.iteration, dict(steps=steps) | {name: float(x) for name, x in row.items()})
         is_due = state.iteration % options.checkpoint_every == 0
         if is_due or stopped or state.iteration == cfg.iterations:
-            save(folder, state, envs, shown, cfg)
+            save(folder, state, envs, cfg)
         if stopped:
             return state.iteration
 
@@ -123,13 +104,13 @@ def prepare(options, given_env, given_learner):
     env_cfg, cfg = settle(given_env, given_learner)
     folder, jax_threads = run_path(options, env_cfg, cfg), None
     if options.resume:
-        given = given_env | given_learner
-        env_cfg, cfg, jax_threads = resumed_settings(folder, given, options.processes or 1)
+        env_cfg, cfg, jax_threads = resumed_settings(folder, given_env | given_learner)
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
-    check(cfg, options.processes or 1)
+    check(cfg)
     jax_setup.set_threads(jax_threads)
+    jax_setup.device()  # refuses before anything is written
     return folder, env_cfg, cfg
 
 
@@ -140,18 +121,14 @@ def main(argv):
     given_options, *given = parse(argv)
     options = Options(**given_options)
     typed = ["python", *sys.orig_argv[1:]]  # whichever python it was
-    is_main = not options.process
     folder, env_cfg, cfg = prepare(options, *given)
-    with parallel.together(options.coordinator, options.processes, options.process):
-        jax_setup.device()  # refuses before anything is written
-        parallel.check_same_start(*given, options.resume, options.checkpoint_every)
-        envs = make_envs(env_cfg, cfg, options.threads)
-        with run_folder.lock(folder) if is_main else nullcontext():
-            stopped = train(folder, envs, cfg, options, typed)
-    if stopped and is_main:
+    envs = make_envs(env_cfg, cfg, options.threads)
+    with run_folder.lock(folder):
+        stopped = train(folder, envs, cfg, options, typed)
+    if stopped:
         again = shlex.join([*typed, *([] if options.resume else ["--resume"])])
         print(f"\nStopped after iteration {stopped}. Continue with: {again}")
-    elif is_main:
+    else:
         look = shlex.join(["python", "play.py", str(folder)])
         print(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
     return 130 if stopped else 0

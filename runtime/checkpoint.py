@@ -10,14 +10,12 @@ import numpy as np
 
 import eipo
 import tasks
-from runtime import jax_setup, parallel, run_folder
+from runtime import jax_setup, run_folder
 
 
 def saved(env):
     """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    # padded, because `everyone` needs one length on all processes
-    rng = np.array(json.dumps(env.rng.bit_generator.state), "U256")
-    return vars(env.state) | dict(rng=rng)
+    return vars(env.state) | dict(rng=np.array(json.dumps(env.rng.bit_generator.state)))
 
 
 def restore_env(env, arrays):
@@ -29,35 +27,28 @@ def restore_env(env, arrays):
 
 
 def save(path, state, envs, cfg):
-    """Write the State, the settings, and the environments of every process, which all call this."""
+    """Write the State, the environments and the settings."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
-        of_all = parallel.everyone({name: x[None] for name, x in saved(env).items()})
-        for name, each in of_all.items():
-            arrays |= {f"process{p}.env{i}.{name}": x for p, x in enumerate(each)}
+        arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), processes=jax.process_count())
+    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS))
     arrays["settings"] = np.array(json.dumps(settings))
-    if jax.process_index() == 0:
-        run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
+    run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, the threads that JAX had, and the number of processes."""
+    """Both Configs of a checkpoint, and the threads that JAX had."""
     arrays = run_folder.read_npz(path)
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(kept["env"]), tasks.tuples(kept["learner"])
-        return env_cfg, eipo.Config(**cfg), kept["jax_threads"], kept["processes"]
+        return env_cfg, eipo.Config(**cfg), kept["jax_threads"]
 
 
 def load(path, template, envs):
-    """The State in a checkpoint, of the same shape as template; envs are restored in place.
-
-    Of several processes each reads it, and restores its own environments.
-    """
-    process = jax.process_index()
+    """The State in a checkpoint, of the same shape as template; envs are restored in place."""
     arrays = run_folder.read_npz(path)
 
     def restore(key, like):
@@ -69,6 +60,5 @@ def load(path, template, envs):
     with run_folder.reading(path):
         state = jax.tree_util.tree_map_with_path(restore, template)
         for i, env in enumerate(envs):
-            prefix = f"process{process}.env{i}."
-            restore_env(env, {x: arrays[prefix + x] for x in (*vars(env.state), "rng")})
+            restore_env(env, {x: arrays[f"env{i}.{x}"] for x in (*vars(env.state), "rng")})
     return state

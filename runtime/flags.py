@@ -24,9 +24,6 @@ class Options:
     resume: bool = False  # go on from the run folder's last checkpoint, with the settings it has
     threads: int | None = None  # threads that step the physics; without it one for each core
     checkpoint_every: int = 50  # iterations from one checkpoint to the next
-    coordinator: str | None = None  # HOST:PORT at which several processes meet process 0
-    processes: int | None = None  # how many processes train together, each with equally many robots
-    process: int | None = None  # number of this process, from 0; number 0 writes the run folder
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
@@ -95,10 +92,9 @@ def settle(given_env, given_learner):
     return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
 
-def check(cfg, processes=1):
+def check(cfg):
     """Refuse settings of an eipo.Config that do not fit together."""
     policies = 2 if cfg.algo == "eipo" else 1
-    shares = policies * processes
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
     if cfg.algo == "eipo" and cfg.lam == 0:
@@ -107,10 +103,8 @@ def check(cfg, processes=1):
         raise Refused(f"lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
     if cfg.mirror and any(n % 2 for n in units):
         raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
-    if cfg.num_envs % shares:
-        what = f"num_envs is {cfg.num_envs}: {policies} policies on {processes} processes have"
-        raise Refused(f"{what} equal shares, so it must be a multiple of {shares}")
+    if cfg.num_envs % policies:
+        what = f"num_envs is {cfg.num_envs}: {policies} policies have equal shares"
+        raise Refused(f"{what}, so it must be a multiple of {policies}")
     if batch < 1:
         raise Refused("num_minibatches is greater than num_steps * num_envs of each policy")
-    if batch % processes:
-        raise Refused(f"{processes} processes have no equal shares of a minibatch of {batch}")

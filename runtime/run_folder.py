@@ -125,12 +125,13 @@ def save_config(folder, env_cfg, cfg, typed, device, resume=False):
 
 def robot():
     """What a policy has to know of our robot: fields of policy.Policy."""
-    scales = dict(frame_scale=go1_env.FRAME_SCALE, action_scale=go1_env.ACTION_SCALE)
+    scales = dict(frame_scale=go1_env.FRAME_SCALE, action_scale=go1.ACTION_SCALE)
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
-def save_policy(path, layers, env_cfg):
-    """Write policy.npz; layers: of actor and estimator, see `mirror.plain_policy`."""
+def save_policy(path, params, env_cfg):
+    """Write policy.npz; params: as in `networks.py`, of NumPy."""
+    layers = {net: params[net].layers for net in ("actor", "estimator")}
     pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg))
     replace_file(path, lambda file: policy.save(file, pi))
 

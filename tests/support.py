@@ -16,8 +16,7 @@ import go1
 import go1_env
 import ppo
 import tasks
-from mirror import plain_policy
-from networks import Layer
+from networks import MLP
 from runtime import run_folder
 from runtime.flags import settle
 
@@ -53,10 +52,10 @@ def trees_equal(a, b):
     return jax.tree.all(jax.tree.map(np.array_equal, a, b))
 
 
-def plain(weights, bias=0.0):
-    """A layer of a plain MLP: weights (n, m), and the bias of all its units or of each."""
+def layer(weights, bias=0.0):
+    """A layer of an MLP: weights (n, m), and the bias of all its units or of each."""
     weights = np.array(weights, np.float32)
-    return Layer((weights,), np.full(weights.shape[1], bias, np.float32))
+    return weights, np.full(weights.shape[1], bias, np.float32)
 
 
 def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,))):
@@ -66,16 +65,14 @@ def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,)
     number each, and V(obs) is obs, whatever is privileged.
     """
     log_std = np.zeros(len(actor[0]), np.float32)
-    n = len(estimator)  # of an observation; networks.beside puts the other rows first
-    actor, critic = (np.array([*rows[n:], *rows[:n]]) for rows in (actor, critic))
     nets = dict(actor=actor, critic=critic, estimator=estimator)
-    return {name: [plain(weights)] for name, weights in nets.items()} | dict(log_std=log_std)
+    return {name: MLP([layer(weights)]) for name, weights in nets.items()} | dict(log_std=log_std)
 
 
-def learner_of(params):
+def learner_of(params, cost_scale=1.0):
     """The Learner of such parameters. With one head it learns from the reward alone."""
-    heads = params["critic"][-1].weights[0].shape[1]
-    return ppo.Learner(params, None, None, ("reward", "cost")[:heads])
+    heads = len(params["critic"].layers[-1][1])
+    return ppo.Learner(params, None, None, (("reward", 1.0), ("cost", cost_scale))[:heads])
 
 
 # ---- the environment ----
@@ -228,10 +225,10 @@ def make_run(folder, task="flat", **learner):
     small = dict(hidden=(8,), hidden_estimator=(8,))
     _, cfg = settle(dict(task=task), small | learner)
     env = go1_env.Go1Env(1, env_cfg, 1)
-    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, ("reward", "cost"), cfg.ppo_cfg)
+    pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, dict(reward=1.0, cost=1.0), cfg)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, env_cfg, cfg, [], "cpu")
-    run_folder.save_policy(folder / "policy.npz", plain_policy(pi.params, env), env_cfg)
+    run_folder.save_policy(folder / "policy.npz", pi.params, env_cfg)
     return folder
 
 

@@ -28,7 +28,7 @@ LAYERS = {
     "go1": {"numpy", "mujoco", "scipy"},
     "go1_env": {"numpy", "mujoco", "scipy"},
     "networks": {"numpy", "jax"},
-    "mirror": {"numpy", "scipy"},
+    "mirror": {"numpy", "jax"},
     "runtime/__init__": set(),
     "runtime/cli": set(),
     "ppo": {"numpy", "jax", "optax"},
@@ -38,11 +38,10 @@ LAYERS = {
     "runtime/viewer": {"numpy", "mujoco", "PIL"},
     "play": {"numpy"},
     "runtime/jax_setup": {"jax"},
-    "runtime/parallel": {"numpy", "jax"},
     "runtime/flags": set(),
     "runtime/checkpoint": {"numpy", "jax"},
     "runtime/metrics": {"numpy", "matplotlib"},
-    "train": {"numpy", "jax"},
+    "train": set(),
 }
 # what the learner may import of ours: it knows no robot, no file and no process
 LEARNER = dict(

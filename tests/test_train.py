@@ -106,16 +106,14 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
 
 
 def test_each_policy_is_saved_under_its_own_name(tmp_path):
-    """Without a mirror, whose coordinates policy.npz does not have, its last layer is that of the
-    checkpoint.
-    """
+    """Without a mirror its last layer is that of the checkpoint."""
     run("--no-mirror", "--out", tmp_path / "run")
     arrays = run_folder.read_npz(tmp_path / "run" / "checkpoint.npz")
     for name, policy in (("policy", "pi"), ("policy_prime", "pi_prime")):
         pi, _ = run_folder.load_policy(tmp_path / "run" / f"{name}.npz")
-        last = arrays[f"state.{policy}.params['actor'][1].weights[0]"]
+        last = arrays[f"state.{policy}.params['actor'].layers[1][0]"]
         assert np.array_equal(pi.actor[1][0], last)
-    assert not np.array_equal(last, arrays["state.pi.params['actor'][1].weights[0]"])
+    assert not np.array_equal(last, arrays["state.pi.params['actor'].layers[1][0]"])
 
 
 def test_equal_seeds_equal_runs(finished, tmp_path):

@@ -120,7 +120,7 @@ def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
         next_privileged=zero,
     )
     pi = learner_of(handmade(critic=((critic,), (0.0,))))
-    return eipo.estimate(pi, tau, EIPO.lam, EIPO.ppo_cfg)
+    return eipo.estimate(pi, tau, EIPO)
 
 
 def test_algorithm1_line08_gae_bootstraps_from_where_the_step_led():
@@ -173,7 +173,7 @@ def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
     """
     advantage = np.array([[[1.0, 2.0]], [[-1.0, -2.0]]])
     target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    log = eipo.summary(Estimate(advantage, target), task, cost)
+    log = eipo.summary(Estimate(advantage, target), task, cost, {})
     assert log == dict(J=2, task_share=pytest.approx(share))
 
 

@@ -60,9 +60,10 @@ class Probe:
         self.x = np.where(ended, self.rng.choice([-1.0, 1.0], self.num_envs), self.x)
         self.t = np.where(ended, 0.0, self.t)
         info = dict(cost=self.cost(*now), log=dict(action=now[2], ended=ended))
-        info |= dict(final_obs=final_obs, final_privileged=final_privileged)
+        obs, privileged = self.observe()
+        info |= dict(final_obs=final_obs, final_privileged=final_privileged, privileged=privileged)
         ends = ended & (not self.truncates), ended & self.truncates
-        return self.observe()[0], self.reward(*now), *ends, info
+        return obs, self.reward(*now), *ends, info
 
 
 def one(x, t, a):
@@ -79,7 +80,7 @@ def effort(x, t, a):
 
 def run(env, env_prime, cfg=EIPO, iterations=2):
     """[(State, metrics)] before the first iteration and after each. Without env_prime it is PPO."""
-    state = eipo.init_state(env, env_prime, cfg)
+    state = eipo.init_state([env, env_prime] if env_prime else [env], cfg)
     steps = eipo.eipo(env, env_prime, cfg, state) if env_prime else eipo.ppo(env, cfg, state)
     return [(state, {}), *islice(steps, iterations)]
 
@@ -121,7 +122,7 @@ def test_algorithm1_line06_rollout_bootstraps_from_the_final_observation():
     assert tau.obs[:, :3, 1].tolist() == [[0, 0, 0], [0, 1, 1], [0, 0, 2]]
     assert tau.next_obs[:, :3, 1].tolist() == [[0, 1, 1], [0, 1, 2], [0, 1, 2]]
     first = np.array([[0, 1.5, 1.5], [0, -1.5, 0], [0, 1.5, -3]])[:, np.arange(16) % 3]
-    errors = eipo.estimate(known(), tau, 1.0, replace(EIPO.ppo_cfg, gae_lambda=0.0)).advantage
+    errors = eipo.estimate(known(), tau, replace(EIPO, gae_lambda=0.0)).advantage
     assert (errors == first[..., None] * [1, 2]).all()
     assert log["ended"] == pytest.approx(tau.truncated.mean()) == pytest.approx(28 / 48)
     assert log["reward"] == 0
@@ -137,12 +138,13 @@ def test_algorithm1_line08_the_critic_learns_lam_f_and_line_8_mixes_f():
 
     Line 8 mixes f itself, with the advantages 0.02 and 0.02 * -126 = -2.52.
     """
-    cfg = replace(EIPO.ppo_cfg, reward_scale=0.02)
+    cfg = replace(EIPO, reward_scale=0.02)
     for heads in (1, 2):
-        pi = learner_of(handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1))))
+        params = handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1)))
+        pi = learner_of(params, cost_scale=1 / 200)
         tau, log = roll(Probe(one, cost=lambda x, t, a: -126 + 0 * x), pi)
         assert (tau.reward == 1).all() and (tau.cost == -126).all() and log["cost"] == -126
-        est = eipo.estimate(pi, tau, 1 / 200, cfg)
+        est = eipo.estimate(pi, tau, cfg)
         for found, expected in ((est.target, [0.02, -0.0126]), (est.advantage, [0.02, -2.52])):
             expected = np.tile(expected[:heads], (48, 1))
             assert found.reshape(48, heads) == pytest.approx(expected)
@@ -190,7 +192,7 @@ def test_algorithm1_line03_other_seed_other_start(monkeypatch):
     networks, envs = [], []
     for seed in (0, 1):
         env, env_prime = Probe(one), Probe(one)
-        state = eipo.init_state(env, env_prime, replace(EIPO, seed=seed))
+        state = eipo.init_state([env, env_prime], replace(EIPO, seed=seed))
         networks += [state.pi, state.pi_prime]
         envs += env.seeds + env_prime.seeds
     assert len(set(networks)) == len(set(envs)) == len(envs) == 4
@@ -238,7 +240,7 @@ def test_algorithm1_ppo_has_neither_pi_prime_nor_alpha(with_effort):
 def test_algorithm1_line14_ends_after_its_iterations():
     """From 2, 1 and 0 iterations before the last, EIPO and PPO go through as many."""
     env, env_prime = Probe(one), Probe(one)
-    start, end = eipo.init_state(env, env_prime, EIPO), EIPO.iterations
+    start, end = eipo.init_state([env, env_prime], EIPO), EIPO.iterations
     for left in range(3):
         state = start._replace(iteration=end - left)
         for steps in (eipo.eipo(env, env_prime, EIPO, state), eipo.ppo(env, EIPO, state)):
@@ -263,7 +265,7 @@ def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
     monkeypatch.setattr(eipo, "init_learner", lambda *_: None)
 
     def start(**changes):
-        return eipo.init_state(Probe(one), Probe(one), replace(EIPO, **changes)).dual
+        return eipo.init_state([Probe(one), Probe(one)], replace(EIPO, **changes)).dual
 
     expected = [10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50]
     assert [start(lam=lam).alpha for lam in LAMBDAS[1:]] == pytest.approx(expected)
