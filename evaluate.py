@@ -22,11 +22,11 @@ from scipy import stats
 import go1_env
 import tasks
 from runtime import run_folder
-from runtime.cli import Parser, program
+from runtime.cli import COUNT, Parser, misfit, program
 
 SEED = 2024  # of the evaluation's episodes, far from the seeds that training uses
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
-SLOW = 0.05  # m/s, a robot whose mean speed ahead is at most this one counts as standing
+SLOW = 0.05  # m/s, robots whose mean speed is at most this one count as standing
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
 
@@ -187,8 +187,8 @@ def main(argv):
     add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
-    if args.episodes < 1:
-        parser.error(f"--episodes is {args.episodes}: it must be at least 1")
+    if line := misfit(vars(args), dict(episodes=COUNT)):
+        parser.error(line)
     for i, folder in enumerate(args.runs):
         row = evaluate(folder, args)
         if i == 0:

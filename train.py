@@ -108,7 +108,7 @@ def prepare(options, given_env, given_learner):
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
-    check(cfg)
+    check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
     jax_setup.device()  # refuses before anything is written
     return folder, env_cfg, cfg

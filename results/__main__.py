@@ -18,7 +18,7 @@ if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
 from results import claims, figures, tables
-from runtime.cli import Parser, program
+from runtime.cli import COUNT, Parser, misfit, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
 TABLES = "summary", "table"
@@ -35,6 +35,8 @@ def main(argv):
     add("--results", type=Path, default=tables.RESULTS, help="folder of the tables")
     add("--episodes", type=int, help="to play, per policy and kind of start")
     args = parser.parse_args(argv)
+    if line := misfit(vars(args), dict(episodes=COUNT)):
+        parser.error(line)
     if bool(args.what) == (args.name == "claims"):
         parser.error(f"{args.name} takes {'no' if args.what else 'at least one'} argument")
     if args.name == "add":

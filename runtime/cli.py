@@ -4,6 +4,14 @@ import argparse
 import functools
 import signal
 import sys
+from math import inf
+from operator import ge, gt, le, lt
+
+COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan never is
+# limits of numbers, as `misfit` takes them
+COUNT = {"at least": 1, "at most": 10**12}  # more would not fit into arrays of whole numbers
+SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits, so 2**32 would draw what 0 draws
+FINITE = {"above": -inf, "below": inf}
 
 
 class Refused(Exception):
@@ -20,6 +28,22 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message):
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
+
+
+def misfit(values, limits):
+    """The line that says of the first number beyond its limits what it must be, or None.
+
+    values: {name of a flag: a number, several, or None}
+    limits: {name: {"at least": 0, "below": 1}}, of those flags that are numbers
+    """
+    for name, ends in limits.items():
+        x = values[name]
+        for number in x if isinstance(x, list | tuple) else [x]:
+            fits = (COMPARE[word](number, end) for word, end in ends.items())
+            if number is not None and not all(fits):
+                needs = " and ".join(f"{word} {end}" for word, end in ends.items())
+                return f"--{name.replace('_', '-')} is {number}: it must be {needs}"
+    return None
 
 
 def complaint(error):

@@ -1,19 +1,22 @@
-"""The flags of `train.py`, and which settings do not fit together.
+"""The flags of `train.py`, what their numbers may be, and which do not fit together.
 
 Every field of `Options`, `tasks.Config` and `eipo.Config` is a flag of the same name, and the
 comment behind the field is what `-h` says of it.
 """
 
 import argparse
+import functools
 import inspect
 import re
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Literal, get_args, get_origin
 
 import eipo
+import go1
 import tasks
-from ppo import LR_RANGE
-from runtime.cli import Parser, Refused
+import terrain
+from ppo import LOG_STD_RANGE, LR_RANGE
+from runtime.cli import COUNT, SEED, Parser, Refused, misfit
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,59 @@ class Options:
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
+# What each number may be, also both ends of a range: as much as can be simulated or learned from.
+FACTOR = {"at least": 1e-9, "at most": 10**9}  # so that float32 holds what is made of a few of them
+FACTOR_OR_0 = {"at least": 0, "at most": 10**9}
+SHARE = {"at least": 0, "at most": 1}
+LIMITS = dict(
+    threads={"at least": 1, "at most": 1024},
+    checkpoint_every=COUNT,
+    # the world
+    history=COUNT,
+    episode_steps=COUNT,
+    command_steps=COUNT,
+    timestep={"at least": 1e-5, "at most": 0.02},  # with 0.03 s the joints of a PD motor oscillate
+    physics_steps=COUNT,
+    clock_hz=FACTOR_OR_0,  # 0: the clock stands still
+    action_limit=FACTOR,
+    noise=FACTOR_OR_0,
+    roughness={"at least": 0, "at most": 10},
+    # a cell needs two points: Perlin noise is 0 at its corners, so that of 20 cells is 0 everywhere
+    cells_per_m={"at least": 1, "at most": round(1 / (2 * terrain.SPACING))},
+    ground_seed=SEED,
+    start_spread={"at least": 0, "at most": 10},
+    tiles=COUNT,
+    friction={"at least": 1e-3, "at most": 100},  # with less MuJoCo's contacts explode
+    payload={"at most": 100},  # at least so much that the trunk keeps some mass, see `check`
+    com={"at least": -1, "at most": 1},
+    motor_strength={"above": 0, "at most": 100},
+    motor_offset={"at least": -10, "at most": 10},
+    gravity={"at least": -9, "at most": 9},  # things still fall
+    latency={"at least": 0, "at most": 1000},
+    max_power={"above": 0},  # inf: no limit
+    # the learner
+    num_epochs=COUNT,
+    num_minibatches=COUNT,
+    lr={"at least": 1e-9, "at most": 1},
+    target_kl=FACTOR_OR_0,  # 0: lr stays
+    gamma=SHARE,
+    gae_lambda=SHARE,
+    clip_eps=FACTOR,
+    ent_coef=FACTOR_OR_0,
+    max_grad_norm=FACTOR,
+    reward_scale=FACTOR,
+    log_std=dict(zip(("at least", "at most"), LOG_STD_RANGE, strict=True)),
+    hidden=COUNT,
+    hidden_estimator=COUNT,
+    lam=FACTOR_OR_0,
+    seed=SEED,
+    num_envs=COUNT,
+    iterations=COUNT,
+    num_steps=COUNT,
+    lr_alpha=FACTOR_OR_0,  # 0: alpha stays
+    clip_alpha=FACTOR,  # not 0, which elsewhere means that nothing is clipped
+    momentum_alpha={"at least": 0, "below": 1},  # with 1 a gradient would count for ever
+)
 ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
 
 tasks:
@@ -40,6 +96,7 @@ curriculum alpha takes longer steps to make up for it (D38). The paper's length 
 entry of deviations.md."""
 
 
+@functools.cache  # it reads source files
 def describe(config):
     """The comment behind each field of a config: {"gamma": "[lab code] discount, Eq. (1)", ...}."""
     source = "".join(inspect.getsource(c) for c in config.__mro__ if is_dataclass(c))
@@ -92,15 +149,29 @@ def settle(given_env, given_learner):
     return env_cfg, eipo.Config(**tasks.TASKS[env_cfg.task].learner | given_learner)
 
 
-def check(cfg):
-    """Refuse settings of an eipo.Config that do not fit together."""
+def check(options, env_cfg, cfg):
+    """Refuse settings with which nothing sensible can be learned, by themselves or together."""
+    if line := misfit(vars(options) | vars(env_cfg) | vars(cfg), LIMITS):
+        raise Refused(line)
+    for name, x in vars(env_cfg).items():
+        if isinstance(x, tuple) and x[0] > x[1]:
+            raise Refused(f"--{name.replace('_', '-')} is {x[0]} {x[1]}: the lower end comes first")
+    trunk = go1.build_model(env_cfg.timestep, None).body("trunk").mass[0]
+    if env_cfg.payload[0] <= -trunk:
+        what = f"the trunk has {trunk:g} kg, so it must be above -{trunk:g}"
+        raise Refused(f"--payload is {env_cfg.payload[0]}: {what}")
+    period = env_cfg.timestep * env_cfg.physics_steps
+    if env_cfg.clock_hz * period > 0.5:
+        what = f"control steps of {period:g} s show a clock of at most {0.5 / period:g} Hz"
+        raise Refused(f"--clock-hz is {env_cfg.clock_hz}: {what}")
     policies = 2 if cfg.algo == "eipo" else 1
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
     units = cfg.hidden + cfg.hidden_estimator
-    if cfg.algo == "eipo" and cfg.lam == 0:
-        raise Refused("lam is 0: EIPO starts at alpha = 1 / lam, so only --algo ppo takes 0")
+    if cfg.lam < FACTOR["at least"] and (cfg.algo == "eipo" or cfg.lam):
+        why = "EIPO starts at alpha = 1 / lam, and only --algo ppo takes 0"
+        raise Refused(f"--lam is {cfg.lam:g}: it must be at least {FACTOR['at least']}; {why}")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
-        raise Refused(f"lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
+        raise Refused(f"--lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
     if cfg.mirror and any(n % 2 for n in units):
         raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
     if cfg.num_envs % policies:

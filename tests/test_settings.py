@@ -1,4 +1,6 @@
-"""Settings: those of the paper, and those that do not fit together."""
+"""Settings: those of the paper, and those that are beyond their limits or do not fit together."""
+
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -7,10 +9,11 @@ from support import error_of
 import eipo
 import evaluate
 import tasks
+import terrain
 import train
 from runtime import flags
 from runtime.cli import Refused
-from runtime.flags import parse, settle
+from runtime.flags import Options, parse, settle
 
 
 @pytest.mark.parametrize(
@@ -108,7 +111,220 @@ def test_flags_that_do_not_parse_are_one_line(capsys, given):
 def test_settings_of_ppo_are_checked_as_ppo():
     """One policy takes an odd number of environments, and one sample per minibatch is enough."""
     few = dict(algo="ppo", num_envs=3, num_steps=1)
-    flags.check(eipo.Config())
-    flags.check(eipo.Config(**few, num_minibatches=3))
+
+    def check(**settings):
+        flags.check(Options(), tasks.Config(), eipo.Config(**settings))
+
+    check()
+    check(**few, num_minibatches=3)
     with pytest.raises(Refused, match="num_minibatches"):
-        flags.check(eipo.Config(**few, num_minibatches=4))
+        check(**few, num_minibatches=4)
+
+
+# ---- limits of numbers ----
+
+
+def test_every_number_has_limits():
+    settings = {field.name: field for config in flags.GROUPS.values() for field in fields(config)}
+    texts = {name for name, field in settings.items() if "type" not in flags.kind_of(field)}
+    texts |= {name for name, field in settings.items() if flags.kind_of(field).get("type") is str}
+    assert set(flags.LIMITS) == settings.keys() - texts
+
+
+SENSELESS = """
+--threads 0
+--checkpoint-every 0
+--checkpoint-every -1
+--history 0
+--episode-steps 0
+--command-steps 0
+--timestep 0
+--timestep -0.005
+--timestep nan
+--timestep 0.03
+--physics-steps 0
+--clock-hz nan
+--clock-hz -1
+--clock-hz 50
+--action-limit 0
+--noise -1
+--noise inf
+--roughness -0.05 0.05
+--roughness 0.15 0.05
+--roughness 0 nan
+--cells-per-m 0
+--cells-per-m 11
+--cells-per-m 20
+--ground-seed -1
+--ground-seed 4294967296
+--start-spread nan
+--start-spread -0.5
+--tiles 0
+--friction -1 0
+--friction 0 1
+--friction 1.25 0.5
+--payload -20 -15
+--payload -6 -6
+--payload -5.56 0
+--com nan 0
+--com 0.1 0
+--motor-strength 0 1
+--motor-strength 1 inf
+--motor-offset 0 nan
+--gravity -10 0
+--latency -1
+--max-power 0
+--max-power nan
+--num-epochs 0
+--num-minibatches 0
+--lr 0 --target-kl 0
+--lr inf --target-kl 0
+--lr nan
+--target-kl -0.01
+--gamma nan
+--gamma 1.5
+--gamma -0.1
+--gae-lambda 1.01
+--clip-eps -0.1
+--clip-eps 0
+--ent-coef -0.01
+--max-grad-norm 0
+--reward-scale 0
+--log-std 1.5
+--log-std nan
+--hidden 0
+--hidden 64 0 64
+--hidden-estimator -2
+--lam -1
+--lam -1 --algo ppo
+--lam inf
+--lam 1e-300
+--lam 1e-300 --algo ppo
+--seed -1
+--seed 4294967296
+--num-envs 0
+--num-envs -4
+--iterations 0
+--iterations -1
+--num-steps 0
+--lr-alpha nan
+--lr-alpha -0.1
+--clip-alpha 0
+--momentum-alpha 1.5
+--momentum-alpha 1
+""".strip().splitlines()
+
+
+@pytest.mark.parametrize("given", SENSELESS)
+def test_a_senseless_number_is_one_line_and_leaves_nothing_behind(
+    tmp_path, capsys, monkeypatch, given
+):
+    """It names the flag and the first number that is wrong, before anything is simulated."""
+    monkeypatch.setattr(train, "make_envs", None)
+    line = error_of(capsys, train.main, *given.split(), "--out", tmp_path / "run")
+    assert line.startswith(f"train.py: {given.split()[0]} is ")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_line_says_what_a_number_may_be(capsys):
+    says = {
+        "--checkpoint-every 0": "--checkpoint-every is 0: it must be at least 1 and at most 10",
+        "--momentum-alpha 1.5": "--momentum-alpha is 1.5: it must be at least 0 and below 1",
+        "--friction 0.5 nan": "--friction is nan: it must be at least 0.001 and at most 100",
+        "--com 0.1 -0.1": "--com is 0.1 -0.1: the lower end comes first",
+        "--payload -20 -15": "--payload is -20.0: the trunk has 5.56 kg",
+        "--log-std 2": "--log-std is 2.0: it must be at least -4.0 and at most 1.0",
+    }
+    for given, line in says.items():
+        assert line in error_of(capsys, train.main, *given.split())
+
+
+SOUND = """
+--threads 64
+--checkpoint-every 1000000000
+--history 1
+--episode-steps 1
+--episode-steps 1000000000000 --command-steps 1000000000000
+--timestep 0.001 --physics-steps 20
+--timestep 0.02 --physics-steps 1
+--clock-hz 0
+--clock-hz 25
+--action-limit 1000000
+--noise 0
+--noise 10
+--roughness 0 0
+--roughness 0.15 0.15 --cells-per-m 10
+--cells-per-m 1 --tiles 1
+--ground-seed 4294967295
+--start-spread 0
+--friction 0.01 0.01
+--friction 2 5
+--payload -5 20
+--com -0.1 -0.1
+--motor-strength 0.001 10
+--motor-offset -0.5 -0.2
+--gravity -9 9
+--latency 0
+--latency 100
+--max-power inf
+--max-power 0.5
+--num-minibatches 1 --num-epochs 1
+--lr 1e-9 --target-kl 0
+--lr 0.1 --target-kl 0
+--target-kl 100
+--gamma 0
+--gamma 1 --gae-lambda 1
+--gae-lambda 0
+--clip-eps 5
+--ent-coef 0
+--max-grad-norm 1000000000
+--reward-scale 1
+--log-std -4
+--log-std 1
+--hidden 1 --hidden-estimator 1 --no-mirror
+--hidden 2 2 2 2 2 2
+--lam 0 --algo ppo
+--lam 1e-9
+--lam 1000
+--seed 0
+--seed 4294967295
+--num-envs 2
+--num-envs 1 --algo ppo
+--iterations 1
+--iterations 1000000000000
+--num-steps 1
+--lr-alpha 0
+--lr-alpha 1000
+--clip-alpha 1000
+--momentum-alpha 0
+--momentum-alpha 0.999999
+""".strip().splitlines()
+
+
+def test_a_run_that_goes_on_is_checked_as_well(capsys, monkeypatch):
+    was = tasks.Config(), eipo.Config(gamma=1.5), None
+    monkeypatch.setattr(train, "resumed_settings", lambda *_: was)
+    assert "--gamma is 1.5" in error_of(capsys, train.main, "--resume")
+    assert "--threads is 0" in error_of(capsys, train.main, "--resume", "--threads", "0")
+
+
+@pytest.mark.parametrize("given", [f"--task {task}" for task in tasks.TASKS] + SOUND)
+def test_what_is_extreme_has_its_sense(given):
+    options, *settings = parse(given.split())
+    flags.check(Options(**options), *settle(*settings))
+
+
+def test_code_may_do_what_it_likes():
+    """Exercise 1 of the tutorial: the printed sign is a negative step of alpha."""
+    dual = eipo.step_alpha(eipo.Dual(2.0, 0.0), 0.5, eipo.Config(lr_alpha=-1.0))
+    assert dual == eipo.Dual(2.5, -0.5)
+
+
+@pytest.mark.parametrize("cells_per_m", range(1, 11))
+def test_a_ground_of_any_cells_is_as_rough_as_asked(cells_per_m):
+    """Points of the ground are 0.05 m apart. With 20 cells per metre all are corners of cells,
+    where Perlin noise is 0, and with more than 10 some cells have no point of their own.
+    """
+    assert flags.LIMITS["cells_per_m"] == {"at least": 1, "at most": 10}
+    ground = terrain.make_ground([0.1, 0.1], 3, cells_per_m)
+    assert np.ptp(ground) > 0.09 and np.isfinite(ground).all()
