@@ -9,22 +9,43 @@ of yaw rate; backspace sets it to 0. In the browser there are sliders.
 
 import ctypes.util
 import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+
+def way_to_draw():
+    """How MuJoCo can draw without a display: egl, osmesa or off."""
+    found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
+    # EGL is often there without a driver that it needs. A process can load one of both, so another
+    # one tries
+    code = "import mujoco; mujoco.GLContext(8, 8).make_current()"
+    trial = dict(env=os.environ | dict(MUJOCO_GL="egl"), capture_output=True)
+    if len(found) == 2 and subprocess.run([sys.executable, "-c", code], **trial).returncode:
+        return "osmesa"
+    return found[0] if found else "off"
+
+
 has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 if sys.platform == "linux" and ("--gif" in " ".join(sys.argv) or not has_display):
-    # MuJoCo decides on import how it will draw
-    found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
-    os.environ.setdefault("MUJOCO_GL", found[0] if found else "off")
+    if "MUJOCO_GL" not in os.environ:  # which MuJoCo reads on import
+        os.environ["MUJOCO_GL"] = way_to_draw()
 
 import numpy as np
 
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.cli import Parser, program
+from runtime.cli import FINITE, SEED, Parser, misfit, program
+
+LIMITS = dict(
+    port={"at least": 0, "at most": 65535},
+    seed=SEED,
+    seconds={"above": 0, "at most": 600},  # pictures of ten minutes take 12 GB
+    command=FINITE,
+    slow={"above": 0, "at most": 100},
+)
 
 
 def make_env(env_cfg, asked):
@@ -62,6 +83,8 @@ def main(argv):
     add("--command", **asked, help="m/s, m/s, rad/s (default: the task's example)")
     add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
     args = parser.parse_args(argv)
+    if line := misfit(vars(args), LIMITS):
+        parser.error(line)
     pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
     asked = np.array(args.command or tasks.TASKS[env_cfg.task].commands().example, float)
     env = make_env(env_cfg, asked)
@@ -69,12 +92,14 @@ def main(argv):
     if args.web:
         viewer.browser(env, steps, asked, args.port, args.slow or 1.0)
     elif args.gif:
-        slow = args.slow or 4.0
+        # of whole hundredths of a second, and at least two, since browsers show one as ten
+        hundredths = max(2, round(100 * (args.slow or 4.0) * env.period))
+        slow = hundredths / (100 * env.period)
         pictures, logs = viewer.film(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in ("v_x", "power")}
         did = viewer.caption(env, mean, asked)
-        caption = f"{args.run.resolve().name}, {slow:g} times slower\n{did}"
-        viewer.save_gif(args.gif, pictures, caption, round(1000 * slow * env.period))
+        caption = f"{args.run.resolve().name}, {slow:.3g} times slower\n{did}"
+        viewer.save_gif(args.gif, pictures, caption, 10 * hundredths)
     else:
         viewer.window(env, steps, asked, args.slow or 1.0)
     return 0

@@ -89,9 +89,12 @@ def window(env, steps, command, slow=1.0):
     if sys.platform == "linux" and not display:  # the viewer would end the process
         raise Refused("there is no display: give --web or --gif FILE")
     model, data = make_scene(env)
-    with mujoco.viewer.launch_passive(
-        model, data, key_callback=on_key, show_left_ui=False, show_right_ui=False
-    ) as viewer:
+    options = dict(key_callback=on_key, show_left_ui=False, show_right_ui=False)
+    try:
+        launched = mujoco.viewer.launch_passive(model, data, **options)
+    except RuntimeError as error:  # it needs macOS's first thread, which only mjpython hands over
+        raise Refused(f"on macOS a window needs mjpython in place of python: {error}") from None
+    with launched as viewer:
         point(viewer.cam, env, model)
         for log in paced(steps, slow * env.period):
             if not viewer.is_running():
@@ -175,7 +178,8 @@ def film(env, steps, seconds):
     try:
         renderer = mujoco.Renderer(model, SIZE[1], SIZE[0])
     except Exception as error:  # MuJoCo's, or that of whichever library it draws with
-        raise Refused(f"OpenGL does not work here: {error!r}") from None
+        what = f"OpenGL does not work with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {error!r}"
+        raise Refused(f"{what}. Install libosmesa6, or set MUJOCO_GL to another way") from None
     with renderer:
         for log in islice(steps, max(1, round(seconds / env.period))):
             show(env, model, data)

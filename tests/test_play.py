@@ -65,6 +65,29 @@ def test_a_gif_without_a_display(runs, tmp_path, task):
     assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(below))
 
 
+@pytest.mark.parametrize(
+    ("slow", "milliseconds", "says"),
+    [
+        ("", 80, "4 times slower"),
+        ("--slow 1.3", 30, "1.5 times slower"),
+        ("--slow 1.2", 20, "1 times slower"),
+        ("--slow 0.2", 20, "1 times slower"),
+        ("--slow 100", 2000, "100 times slower"),
+    ],
+)
+def test_a_gif_says_how_fast_it_is(runs, monkeypatch, slow, milliseconds, says):
+    """It shows a step of 20 ms for whole hundredths of a second, of which browsers take one for
+    ten.
+    """
+    log = dict(v_x=np.array([1.0]), power=np.array([300.0]))
+    saved = []
+    monkeypatch.setattr(viewer, "film", lambda *_: ([], [log]))
+    monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
+    assert play.main([str(runs["flat"]), "--gif", "a.gif", *slow.split()]) == 0
+    ((_, _, caption, duration),) = saved
+    assert f", {says}\n" in caption and duration == milliseconds
+
+
 # ---- what goes wrong ----
 
 
@@ -75,6 +98,65 @@ def test_without_opengl_or_display_a_line_says_what_to_do(runs, capsys, monkeypa
         assert "--gif" in error_of(capsys, play.main, runs["flat"])
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert "libegl1" in error_of(capsys, play.main, runs["flat"], "--gif", "a.gif")
+
+
+@pytest.mark.parametrize(("drivers", "way"), [(True, "egl"), (False, "osmesa")])
+def test_osmesa_draws_where_egl_has_no_driver(monkeypatch, drivers, way):
+    """Another process tries to draw with EGL, if there is a choice."""
+    tried = []
+
+    def run(command, env, **_):
+        tried.append(env["MUJOCO_GL"])
+        return SimpleNamespace(returncode=0 if drivers else 1)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(ctypes.util, "find_library", "lib{}.so".format)
+    assert play.way_to_draw() == way and tried == ["egl"]
+    for only in ("EGL", "OSMesa"):
+        monkeypatch.setattr(ctypes.util, "find_library", lambda name, only=only: name == only)
+        assert play.way_to_draw() == only.lower()
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    assert play.way_to_draw() == "off" and tried == ["egl"]
+
+
+def test_opengl_that_does_not_work_is_one_line(runs, capsys, monkeypatch, tmp_path):
+    def renderer(*_):
+        raise ImportError("no EGL device")
+
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setattr(mujoco, "Renderer", renderer)
+    says = error_of(capsys, play.main, runs["flat"], "--gif", tmp_path / "a.gif")
+    assert "MUJOCO_GL=egl" in says and "libosmesa6" in says and not [*tmp_path.iterdir()]
+
+
+def test_macos_wants_mjpython(runs, capsys, monkeypatch):
+    """As MuJoCo refuses a window there."""
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert "mjpython in place of python" in error_of(capsys, play.main, runs["flat"])
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "--seed -1",
+        "--seed 4294967296",
+        "--seconds nan",
+        "--seconds 0",
+        "--seconds inf",
+        "--command nan 0 0",
+        "--command 0 inf 0",
+        "--slow 0",
+        "--slow -1",
+        "--slow nan",
+        "--port -1",
+        "--port 65536",
+    ],
+)
+def test_a_senseless_number_is_one_line(capsys, given):
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["nowhere", *given.split()])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
 
 
 # ---- what is played ----
