@@ -109,12 +109,12 @@ def run_episodes(policy, env):
 
 
 def energy_per_metre(power, v_x, axis=-1):
-    """Energy per velocity [J/m] of robots: mean power [W] over mean speed ahead [m/s].
+    """Energy per metre [J/m] of robots: mean power [W] over mean speed [m/s], ahead or backwards.
 
-    power, v_x: (..., N), averaged over axis. Robots that do not move ahead spend infinitely much.
+    power, v_x: (..., N), averaged over axis. Robots that stand spend infinitely much.
     """
-    power, v_x = np.mean(power, axis), np.mean(v_x, axis)
-    return np.where(v_x > SLOW, power / np.maximum(v_x, SLOW), np.inf)
+    power, speed = np.mean(power, axis), np.abs(np.mean(v_x, axis))
+    return np.where(speed > SLOW, power / np.maximum(speed, SLOW), np.inf)
 
 
 def iqm(x, axis=None):

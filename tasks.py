@@ -20,22 +20,22 @@ import rewards
 
 
 class Range:
-    """Commands that are drawn uniformly, from 0 to a greatest one."""
+    """Commands that are drawn uniformly, from 0 to a greatest one, which may be negative."""
 
-    low = np.zeros(3)
     learns = False
     weights = np.zeros(0)  # what was learned: nothing
 
-    def __init__(self, *high):
-        """high: v_x, v_y [m/s] and yaw rate [rad/s] of the greatest command."""
-        self.high = self.example = np.array(high)  # with which one shows and evaluates the task
+    def __init__(self, *greatest):
+        """greatest: v_x, v_y [m/s] and yaw rate [rad/s] of the command that is farthest from 0."""
+        self.example = np.array(greatest, float)  # with which one shows and evaluates the task
+        self.low, self.high = np.minimum(self.example, 0), np.maximum(self.example, 0)
 
     def start(self):
         """Forget what was learned."""
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots, which are given by their numbers."""
-        return rng.uniform(0.0, self.high, (len(robots), 3))
+        return rng.uniform(self.low, self.high, (len(robots), 3))
 
     def record(self, command, kernels):
         """Learn how well n commands were followed. Here there is nothing to learn."""

@@ -280,12 +280,13 @@ def test_tables_come_out_as_they_went_in(tmp_path):
 
 def test_the_record_can_be_read():
     """Every run of results/ has settings, and every table is of such runs alone. Every policy can
-    be loaded. results/ stays small.
+    be loaded. results/ stays small. A task of one's own needs no runs there.
     """
-    for task in tasks.TASKS:
-        place = RESULTS / task
+    places = [path.parent for path in RESULTS.glob(f"*/{tables.RUNS}")]
+    assert {place.name for place in places} >= {"flat", "rough", "velocity", "curriculum"}
+    for place in places:
         runs = tables.runs([place / "*"])
-        assert len(runs) > 5 and all(run.settings["task"] == task for run in runs)
+        assert len(runs) > 5 and all(run.settings["task"] == place.name for run in runs)
         assert all(kind(run.settings) for run in runs)
         names = {run.name for run in runs}
         for file in (tables.METRICS, tables.EPISODES, tables.SPEED):

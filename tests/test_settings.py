@@ -8,6 +8,8 @@ from support import error_of
 
 import eipo
 import evaluate
+import go1_env
+import rewards
 import tasks
 import terrain
 import train
@@ -328,3 +330,42 @@ def test_a_ground_of_any_cells_is_as_rough_as_asked(cells_per_m):
     assert flags.LIMITS["cells_per_m"] == {"at least": 1, "at most": 10}
     ground = terrain.make_ground([0.1, 0.1], 3, cells_per_m)
     assert np.ptp(ground) > 0.09 and np.isfinite(ground).all()
+
+
+# ---- a task of one's own ----
+
+
+@pytest.mark.parametrize(
+    ("greatest", "low", "high"),
+    [
+        ((1.0, 0.0, 0.0), [0, 0, 0], [1, 0, 0]),
+        ((-1.0, 0, 0), [-1, 0, 0], [0, 0, 0]),
+        ((0.5, -0.25, -2), [0, -0.25, -2], [0.5, 0, 0]),
+    ],
+)
+def test_commands_lie_between_0_and_the_greatest(greatest, low, high):
+    """Whatever its signs, and the viewer's sliders reach from the lower end to the upper one."""
+    commands = tasks.Range(*greatest)
+    drawn = commands.draw(np.random.default_rng(0), np.arange(1000))
+    assert (commands.low.tolist(), commands.high.tolist()) == (low, high)
+    assert drawn.min(0) == pytest.approx(low, abs=0.01) and (drawn >= low).all()
+    assert drawn.max(0) == pytest.approx(high, abs=0.01) and (drawn <= high).all()
+    assert commands.example.tolist() == list(greatest)
+
+
+def test_a_task_may_go_backwards(monkeypatch):
+    """It is simulated, and evaluated at 0, 0.1, ..., 1 m/s backwards. At 0.5 m/s, 100 W are 200
+    J/m.
+    """
+    back = tasks.Task("walk back", rewards.curriculum, lambda: tasks.Range(-1.0, 0, 0), {}, {})
+    monkeypatch.setitem(tasks.TASKS, "back", back)
+    env = go1_env.Go1Env(8, tasks.task_config("back"), threads=1)
+    env.reset(0)
+    env.step(np.zeros((8, 12)))
+    assert (env.state.command[:, 0] < 0).all() and (env.state.command[:, 1:] == 0).all()
+    asked = evaluate.commands_of("back")
+    assert asked[:, 0] == pytest.approx(-np.arange(11) / 10)
+    names = ("performance", "fell", "v_x", "peak", "power", "asked_v_x")
+    played = dict.fromkeys(names, asked[:, 0]) | dict(power=np.full(11, 100.0))
+    assert evaluate.numbers(played)["v_x"] == pytest.approx(-0.5)
+    assert evaluate.numbers(played | dict(v_x=np.full(11, -0.5)))["J/m"] == pytest.approx(200)

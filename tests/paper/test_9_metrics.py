@@ -72,10 +72,12 @@ def test_energy_per_metre_is_the_ratio_of_means():
     assert evaluate.energy_per_metre([power, power], [v_x, 2 * v_x]).tolist() == [150, 75]
 
 
-@pytest.mark.parametrize(("v_x", "energy"), [(1 / 16, 384), (3 / 64, np.inf), (-1.0, np.inf)])
-def test_energy_per_metre_needs_robots_that_move_ahead(v_x, energy):
+@pytest.mark.parametrize(
+    ("v_x", "energy"), [(1 / 16, 384), (3 / 64, np.inf), (-1 / 16, 384), (-1 / 64, np.inf)]
+)
+def test_energy_per_metre_needs_robots_that_move(v_x, energy):
     """D27. They stand at 3/64 = 0.047 m/s, and move at 1/16 = 0.0625 m/s: 24 W / (1/16 m/s) = 384
-    J/m. At 1 m/s backwards -24 J/m would be the least of all.
+    J/m, ahead or backwards.
     """
     assert evaluate.energy_per_metre([24, 24], [v_x - 1, v_x + 1]) == energy
 
