@@ -4,14 +4,12 @@ import argparse
 import functools
 import signal
 import sys
-from math import inf
 from operator import ge, gt, le, lt
 
 COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan never is
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # more would not fit into arrays of whole numbers
 SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits, so 2**32 would draw what 0 draws
-FINITE = {"above": -inf, "below": inf}
 
 
 class Refused(Exception):

@@ -162,7 +162,8 @@ def check(options, env_cfg, cfg):
         raise Refused(f"--payload is {env_cfg.payload[0]}: {what}")
     period = env_cfg.timestep * env_cfg.physics_steps
     if env_cfg.clock_hz * period > 0.5:
-        what = f"control steps of {period:g} s show a clock of at most {0.5 / period:g} Hz"
+        steps = f"control steps of {period:g} s, --timestep times --physics-steps,"
+        what = f"{steps} show a clock of at most {0.5 / period:g} Hz"
         raise Refused(f"--clock-hz is {env_cfg.clock_hz}: {what}")
     policies = 2 if cfg.algo == "eipo" else 1
     batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
