@@ -121,8 +121,7 @@ def eipo(env, env_prime, cfg, state=None):
         )
 
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        logs = dict(alpha=dual.alpha, gap=gap) | log | losses, log_prime | losses_prime
-        metrics = summary(est, dual.alpha, 1, *logs)
+        metrics = summary(est, dual.alpha, 1, log | losses, log_prime | losses_prime, gap)
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
         yield State(iteration, state.key, pi, pi_prime, dual), metrics
     # Alg.1 L14  end for
@@ -136,7 +135,7 @@ def ppo(env, cfg, state=None):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
         est = estimate(pi, tau, cfg)
-        advantage = mix(est.advantage, 1, cfg.lam)
+        advantage = mix(est.advantage, 1, cfg.lam) if cfg.lam else est.advantage[..., 0]
         pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)
         metrics = summary(est, 1, cfg.lam, log | losses)
         yield State(iteration, state.key, pi, None, None), metrics
@@ -147,16 +146,19 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, task_weight, cost_weight, log, log_prime=None):
+def summary(est, task_weight, cost_weight, log, log_prime=None, gap=None):
     """Metrics of an iteration: J(pi), the task's share of pi's objective, and what was logged.
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)), with weights as in `mix`. Near 1 the
-    cost has no say. What was logged of pi_prime gets names that begin with "prime_".
+    cost has no say. EIPO adds alpha, the gap, and what was logged of pi_prime, as "prime_...".
     """
     weighted = est.advantage.std((0, 1)) * jnp.array([task_weight, cost_weight])
     share = weighted[0] / (weighted.sum() + 1e-30)
-    of_prime = {f"prime_{name}": x for name, x in (log_prime or {}).items()}
-    return dict(J=estimate_J(est), task_share=share) | log | of_prime
+    metrics = dict(J=estimate_J(est), task_share=share)
+    if log_prime:
+        metrics |= dict(alpha=task_weight, gap=gap)
+        log = log | {f"prime_{name}": x for name, x in log_prime.items()}
+    return metrics | log
 
 
 # ---- L3, L4: the start ----
@@ -171,8 +173,9 @@ def init_state(envs, cfg, init=init_params):
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
-    # the critic learns lam f, which is not far above r (D6); if nobody weighs f, then f itself
-    pi = init_learner(rng, envs[0], dict(reward=1.0, cost=cfg.lam or 1.0), cfg, init)
+    # the critic learns lam f, which is not far above r (D6); PPO(0) knows no f
+    streams = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
+    pi = init_learner(rng, envs[0], streams, cfg, init)
     if len(envs) == 1:
         return State(0, key, pi, None, None)
     envs[1].reset(2 * cfg.seed + 1)
@@ -225,7 +228,7 @@ def rollout(env, learner, key, cfg):
 
 @partial(jax.jit, static_argnames="cfg")
 def estimate(learner, tau, cfg):
-    """The Estimate of a rollout, in which r and f stay apart, or of r alone for pi_prime.
+    """The Estimate of a rollout, in which r and f stay apart, or of r alone for who knows no f.
 
     GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
     alpha moves.
@@ -275,8 +278,9 @@ def estimate_J(est):
     """J of a policy (L12): the mean of the task's target over the states of its rollout.
 
     A target blends the rewards of the rollout with the values of the policy's own critic. It is
-    averaged over all visited states, not only the first (D8), and has the factor reward_scale. Of
-    normalised advantages the mean is 0 for every policy, so alpha would rest.
+    averaged over all visited states, not only the first, and has the factor reward_scale. It is not
+    made of normalised advantages, whose mean is 0 for every policy, so that alpha would never move
+    (D8).
     """
     return est.target[..., 0].mean()
 

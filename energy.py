@@ -7,8 +7,8 @@ order FR, FL, RR, RL x hip, thigh, calf:
 
     torque  (..., 12) [N m]    of the joints
     qd      (..., 12) [rad/s]  of the joints
-    clip    see `mechanical_power`
-    a power (...,) [W]
+
+A power is (...,) [W]. The argument clip says how Eq. (9) is read, see `mechanical_power`.
 """
 
 import numpy as np

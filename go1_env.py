@@ -285,9 +285,7 @@ class Go1Env:
         landed = rewards.landings(state.off_ground, touch, self.period)
         state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
-        return rewards.shaped(
-            velocity=velocity,
-            command=state.command,
+        gait = rewards.Gait(
             v_z=motion.body[:, 2],
             roll_pitch_rate=motion.rates[:, :2],
             gravity=go1.felt_gravity(motion.to_world, state.gravity),
@@ -300,6 +298,7 @@ class Go1Env:
             q=self.qpos[:, 7:],
             joint_range=self.joint_range,
         )
+        return rewards.shaped(velocity, state.command, gait)
 
     def _log(self, motion, outcome):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""

@@ -13,12 +13,10 @@ velocity. The environment passes the velocity over ground, in the horizontal fra
 with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
 """
 
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 from numpy import exp, minimum, square
-
-from energy import norm2
 
 SIGMA_VXY = 0.25  # m^2/s^2, the lab's value; the paper prints none
 SIGMA_WZ = 0.25  # rad^2/s^2, the lab's value; the paper prints none
@@ -87,38 +85,48 @@ HEIGHT = 0.34  # m, of the trunk above the ground
 SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an angle costs
 
 
-def shaped(**robot):
+class Gait(NamedTuple):
+    """What the shaped reward looks at, beside velocity and command."""
+
+    v_z: np.ndarray  # (...,) [m/s] of the body, upwards
+    roll_pitch_rate: np.ndarray  # (..., 2) [rad/s]
+    gravity: np.ndarray  # (..., 3) [-] unit vector down, in the body frame
+    height: np.ndarray  # (...,) [m] of the trunk above the ground
+    q: np.ndarray  # (..., 12) [rad] of the joints
+    joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits of the joints
+    qdd: np.ndarray  # (..., 12) [rad/s^2] of the joints
+    torque: np.ndarray  # (..., 12) [N m] of the joints
+    action_change: np.ndarray  # (..., 12) [-] since the last step
+    landed: np.ndarray  # (..., 4) [s] how long feet that land now were in the air, see `landings`
+    collisions: np.ndarray  # (...,) [-] number of thighs and calves that touch the ground
+
+
+def shaped(velocity, command, gait):
     """The shaped reward (...,) [-]: the sum of its terms, weighted by SHAPED, at least 0.
 
-    velocity, command: (..., 3) as above
-    v_z:             (...,) [m/s] body velocity upwards
-    roll_pitch_rate: (..., 2) [rad/s]
-    gravity:         (..., 3) [-] unit vector down, in the body frame
-    torque, qdd, q:  (..., 12) [N m], [rad/s^2], [rad] of the joints
-    height:          (...,) [m] of the trunk above the ground
-    landed:          (..., 4) [s] how long feet that land now were in the air, see `landings`
-    collisions:      (...,) [-] number of thighs and calves that touch the ground
-    action_change:   (..., 12) [-] since the last step
-    joint_range:     (2, 12) [rad] lower and upper limits of the joints
+    gait: a Gait
     """
-    r = SimpleNamespace(**robot)
-    linear, angular = kernels(r.velocity, r.command)
-    moving = np.linalg.norm(r.command[..., :2], axis=-1) > 0.1
-    middle = r.joint_range.mean(0)
-    half = SOFT_LIMIT * np.diff(r.joint_range, axis=0)[0] / 2
+
+    def norm2(x):
+        return square(x).sum(-1)
+
+    linear, angular = kernels(velocity, command)
+    moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1
+    middle = gait.joint_range.mean(0)
+    half = SOFT_LIMIT * np.diff(gait.joint_range, axis=0)[0] / 2
     terms = dict(
         linear=linear,
         angular=angular,
-        v_z=r.v_z**2,
-        roll_pitch_rate=norm2(r.roll_pitch_rate),
-        tilt=norm2(r.gravity[..., :2]),
-        torque=norm2(r.torque),
-        qdd=norm2(r.qdd),
-        height=(r.height - HEIGHT) ** 2,
-        air_time=np.where(r.landed > 0, r.landed - 0.5, 0.0).sum(-1) * moving,
-        collisions=r.collisions,
-        action_change=norm2(r.action_change),
-        joint_limits=np.maximum(np.abs(r.q - middle) - half, 0.0).sum(-1),
+        v_z=gait.v_z**2,
+        roll_pitch_rate=norm2(gait.roll_pitch_rate),
+        tilt=norm2(gait.gravity[..., :2]),
+        torque=norm2(gait.torque),
+        qdd=norm2(gait.qdd),
+        height=(gait.height - HEIGHT) ** 2,
+        air_time=np.where(gait.landed > 0, gait.landed - 0.5, 0.0).sum(-1) * moving,
+        collisions=gait.collisions,
+        action_change=norm2(gait.action_change),
+        joint_limits=np.maximum(np.abs(gait.q - middle) - half, 0.0).sum(-1),
     )
     return np.maximum(sum(weight * terms[name] for name, weight in SHAPED.items()), 0.0)
 

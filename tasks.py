@@ -15,34 +15,41 @@ import rewards
 
 # ---- commands ----
 
-# Objects with `draw`, `record`, `start`, `weights`, and `learns`, whether `record` does anything.
-# Those of a task also have an `example`, and `low` and `high`, the ends of the viewer's sliders.
 
+class Commands:
+    """What robots are asked to do, which is nothing. Classes of their own ask for more."""
 
-class Range:
-    """Commands that are drawn uniformly, from 0 to a greatest one, which may be negative."""
-
-    learns = False
-    weights = np.zeros(0)  # what was learned: nothing
-
-    def __init__(self, *greatest):
-        """greatest: v_x, v_y [m/s] and yaw rate [rad/s] of the command that is farthest from 0."""
-        self.example = np.array(greatest, float)  # with which one shows and evaluates the task
-        self.low, self.high = np.minimum(self.example, 0), np.maximum(self.example, 0)
+    example = np.zeros(3)  # with which one shows and evaluates the task
+    low = high = np.zeros(3)  # the ends of the viewer's sliders
+    learns = False  # whether `record` does anything
+    weights = np.zeros(0)  # what was learned
 
     def start(self):
         """Forget what was learned."""
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots, which are given by their numbers."""
-        return rng.uniform(self.low, self.high, (len(robots), 3))
+        return np.zeros((len(robots), 3))
 
     def record(self, command, kernels):
-        """Learn how well n commands were followed. Here there is nothing to learn."""
+        """Learn how well n commands were followed; kernels: (n, 2) means of those of Eq. (8)."""
 
 
-class Given(Range):
-    """Commands that somebody gives, one for each robot, instead of a task."""
+class Range(Commands):
+    """Commands that are drawn uniformly, from 0 to a greatest one, which may be negative."""
+
+    def __init__(self, *greatest):
+        """greatest: v_x, v_y [m/s] and yaw rate [rad/s] of the command that is farthest from 0."""
+        self.example = np.array(greatest, float)
+        self.low, self.high = np.minimum(self.example, 0), np.maximum(self.example, 0)
+
+    def draw(self, rng, robots):
+        """As in `Commands`."""
+        return rng.uniform(self.low, self.high, (len(robots), 3))
+
+
+class Given(Commands):
+    """Commands that somebody gives, one for each robot."""
 
     def __init__(self, command):
         """command: (N, 3) [m/s, m/s, rad/s]. It may be changed in place."""
@@ -53,7 +60,7 @@ class Given(Range):
         return self.command[robots]
 
 
-class Grid:
+class Grid(Commands):
     """Commands that grow with what the robot can do: Section IV-A.4, after reference [5].
 
     Each cell of a grid over forward velocity and yaw rate has a weight. At first it is 1 where both

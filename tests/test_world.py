@@ -410,12 +410,12 @@ def test_shaped_reward_replaces_the_task_reward_and_keeps_it_in_the_log():
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What the shaped reward was given in each step, a list of its arguments by name."""
+    """The Gait that the shaped reward was given in each step, by name."""
     steps, shaped = [], rewards.shaped
 
-    def spy(**robot):
-        steps.append({name: np.array(x) for name, x in robot.items()})
-        return shaped(**robot)
+    def spy(velocity, command, gait):
+        steps.append({name: np.array(x) for name, x in gait._asdict().items()})
+        return shaped(velocity, command, gait)
 
     monkeypatch.setattr(rewards, "shaped", spy)
     return steps
@@ -451,7 +451,11 @@ def test_what_the_shaped_reward_sees_of_joints_and_actions(seen):
     env = make(reward="shaped")
     place(env, q=NOMINAL + 0.125, qd=0.25)
     env.state.action[:] = 1.0
-    env.batch.step = lambda: env.qvel[:, 6:].__iadd__(3 / 16)
+
+    def faster():
+        env.qvel[:, 6:] += 3 / 16
+
+    env.batch.step = faster
     env.step(np.full((2, 12), 4.0))
     assert seen[0]["qdd"] == pytest.approx(np.full((2, 12), 37.5))
     assert seen[0]["torque"] == pytest.approx(np.tile([7.09375, 17.09375, 17.09375], (2, 4)))

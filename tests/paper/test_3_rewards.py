@@ -143,7 +143,9 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
 
 
 def robot(**changes):
-    """A robot that does exactly what it should, of which only the two tracking terms are not 0."""
+    """Velocity, command and Gait of a robot that does exactly what it should, so that only the two
+    tracking terms are not 0.
+    """
     ideal = dict(
         velocity=np.zeros(3),
         command=np.zeros(3),
@@ -159,7 +161,8 @@ def robot(**changes):
         q=np.zeros(12),
     )
     batch = {name: np.asarray(x)[None] for name, x in (ideal | changes).items()}
-    return batch | dict(joint_range=np.array([[-1.0] * 12, [1.0] * 12]))
+    asked = batch.pop("velocity"), batch.pop("command")
+    return *asked, rewards.Gait(**batch, joint_range=np.array([[-1.0] * 12, [1.0] * 12]))
 
 
 AHEAD, SIDEWAYS, TURNING = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
@@ -195,7 +198,7 @@ def test_shaped_reward_term_by_term(changes, lost):
     """Reference [5], V-E: 1 + 0.5 for perfect tracking, less what each deviation costs by its
     published weight.
     """
-    assert rewards.shaped(**robot(**changes)) == pytest.approx([1.5 - lost])
+    assert rewards.shaped(*robot(**changes)) == pytest.approx([1.5 - lost])
 
 
 def test_landings_by_hand():

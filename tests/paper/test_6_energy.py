@@ -113,7 +113,11 @@ def test_eq11_takes_the_mean_of_the_physics_steps():
     """
     env = make(aux="smooth")
     place(env)
-    env.batch.step = lambda: env.qvel[:, 6:].__iadd__(2.0)
+
+    def faster():
+        env.qvel[:, 6:] += 2.0
+
+    env.batch.step = faster
     info = env.step(QUARTER)[4]
     assert info["cost"] == pytest.approx([0.7524] * 2)
     assert info["log"]["power"] == pytest.approx([272.4] * 2)

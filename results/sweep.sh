@@ -1,0 +1,32 @@
+#!/usr/bin/env bash
+# Train one line of a table of runs, by its number from 0. A line is the name of a run, and flags of
+# train.py. The run goes to runs/NAME, and what it says to runs/NAME.log.
+#
+#     sbatch --array=0-80 results/sweep.sh TABLE              on a cluster with SLURM
+#     seq 0 80 | xargs -P 2 -n 1 results/sweep.sh TABLE       on one machine, two runs at a time
+#
+# A task that was killed goes on from its last checkpoint if it is started again, and one that is
+# finished ends at once. A run has as many threads as SLURM gives it cores, or as CORES says.
+#SBATCH --cpus-per-task=1
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output=slurm-%A.log
+set -u
+trap : TERM  # train.py saves and ends when SLURM asks for it, and then so does this script
+table=$(realpath "$1")
+number=${2:-${SLURM_ARRAY_TASK_ID:?"a number is missing: results/sweep.sh TABLE NUMBER"}}
+# sbatch runs a copy of this file from elsewhere
+if [ $# -gt 1 ]; then cd "$(dirname "$0")/.."; else cd "$SLURM_SUBMIT_DIR"; fi || exit 1
+read -r name flags < <(sed -n "$((number + 1))p" "$table")
+test -n "${name:-}" || { echo "$table has no line $number, counted from 0" >&2; exit 1; }
+python=$(ls .venv/bin/python 2> /dev/null || command -v python)
+export PJRT_NPROC=${SLURM_CPUS_PER_TASK:-${CORES:-1}}  # JAX's threads; --threads are MuJoCo's
+folder=runs/$name
+mkdir -p "$folder"
+if [ -e "$folder/checkpoint.npz" ]; then
+    flags="$flags --resume"
+else  # whoever was killed before the first checkpoint starts anew, unless somebody trains there
+    flock -n "$folder/lock" rm -f "$folder/config.json" "$folder/metrics.csv"
+fi
+# shellcheck disable=SC2086  # flags are several words
+"$python" train.py $flags --threads "$PJRT_NPROC" --out "$folder" >> "$folder.log" 2>&1 || exit 1
