@@ -23,11 +23,11 @@ calves about +y. A motor's torque in N m is kp * (target - q) - kd * qd, 200 tim
 
 The file has `actor.0.W`, `actor.0.b` and so on, the layers (n_in, n_out) and (n_out,) of an MLP
 with ELU between them; those of the estimator, likewise; and the other fields of `Policy` under
-their own names, `config` as JSON.
+their own names, `config` as JSON, in which `about` is one entry more.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -49,6 +49,8 @@ class Policy:
     kp: float  # [N m / rad] of the joints' PD controllers
     kd: float  # [N m s / rad]
     config: dict  # of the world in which it was trained: tasks.Config, as JSON has it
+    # iteration, algo, lam and seed of its training; {} in files of older runs: unknown
+    about: dict = field(default_factory=dict)
 
     def __post_init__(self):
         self.start()
@@ -100,7 +102,7 @@ def save(file, pi):
     for net, layers in (("actor", pi.actor), ("estimator", pi.estimator)):
         for i, (weights, bias) in enumerate(layers):
             arrays |= {f"{net}.{i}.W": weights, f"{net}.{i}.b": bias}
-    np.savez(file, **arrays, config=json.dumps(pi.config))
+    np.savez(file, **arrays, config=json.dumps(pi.config | dict(about=pi.about)))
 
 
 def load(path):
@@ -117,7 +119,8 @@ def load(path):
     for net, found in layers.items():
         while (name := f"{net}.{len(found)}.") + "W" in arrays:
             found.append((arrays[name + "W"], arrays[name + "b"]))
-    pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config)
+    about = config.pop("about", {})
+    pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config, about=about)
     pi.act(np.zeros(3), np.zeros(3), np.zeros(12), np.zeros(12))  # do its layers fit?
     pi.start()
     return pi

@@ -66,7 +66,8 @@ def save(folder, state, envs, cfg):
     checkpoint.save(folder / "checkpoint.npz", state, envs, cfg)
     for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
         if learner:
-            run_folder.save_policy(folder / f"{name}.npz", learner.params, envs[0].env_cfg)
+            about = dict(iteration=state.iteration, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
+            run_folder.save_policy(folder / f"{name}.npz", learner.params, envs[0].env_cfg, about)
     try:
         metrics.draw_curves(folder)
     except Exception as error:  # a picture is not worth a run

@@ -129,10 +129,13 @@ def robot():
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
-def save_policy(path, params, env_cfg):
-    """Write policy.npz; params: as in `networks.py`, of NumPy."""
+def save_policy(path, params, env_cfg, about=()):
+    """Write policy.npz; params: as in `networks.py`.
+
+    about: what it says of its training, by name, as policy.Policy has it
+    """
     layers = {net: params[net].layers for net in ("actor", "estimator")}
-    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg))
+    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg), about=dict(about))
     replace_file(path, lambda file: policy.save(file, pi))
 
 

@@ -48,6 +48,17 @@ def test_act_is_mean_of_what_a_robot_measures(path):
     assert pi.act(gravity, asked[0], NOMINAL, NOMINAL) == pytest.approx(NOMINAL - 10 * SCALE)
 
 
+def test_a_policy_says_what_it_is_of(tmp_path):
+    """In its JSON beside the settings of its world. Files of older runs do not, and are read."""
+    path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)
+    made, env_cfg = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
+    layers = dict(actor=made.actor, estimator=made.estimator)
+    run_folder.save_policy(path, layers, env_cfg, about)
+    pi, same = run_folder.load_policy(path)
+    assert pi.about == about and pi.config == made.config and same == env_cfg
+    assert made.about == {} and run_folder.load_policy(COMMITTED[0])[0].about == {}
+
+
 # ---- what is read ----
 
 

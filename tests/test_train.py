@@ -116,6 +116,12 @@ def test_each_policy_is_saved_under_its_own_name(tmp_path):
     assert not np.array_equal(last, arrays["state.pi.params['actor'].layers[1][0]"])
 
 
+def test_a_policy_says_what_it_is_of(finished):
+    for name in ("policy", "policy_prime"):
+        pi, _ = run_folder.load_policy(finished / f"{name}.npz")
+        assert pi.about == dict(iteration=20, algo="eipo", lam=0.005, seed=0)
+
+
 def test_equal_seeds_equal_runs(finished, tmp_path):
     run("--iterations", 3, "--out", tmp_path / "same")
     assert rows(tmp_path / "same") == rows(finished)[:4]
