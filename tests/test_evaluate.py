@@ -1,10 +1,14 @@
 """evaluate.py: the line that it prints for a run folder."""
 
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support import error_of, make_run
 
 import evaluate
+from runtime import run_folder
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +44,36 @@ def test_the_line_of_a_run(folder, asked, capsys):
     assert env_cfg.roughness == (0.15, 0.15) and env_cfg.start_spread == 0.5
     assert (env_cfg.clip, env_cfg.episode_steps) == ("torque", 1000)
     assert commands[:, 0].tolist() == [*np.arange(11) / 10] * 2
+
+
+def test_all_runs_are_measured_by_one_formula_of_power(asked, tmp_path, capsys):
+    """Also the one that learned from the printed clip, unless --clip says so for all of them. Two
+    folders of one name are told apart by the way to them.
+    """
+    torque, power = (make_run(tmp_path / name) for name in "ab")
+    pi, env_cfg = run_folder.load_policy(torque / "policy.npz")
+    layers = dict(actor=pi.actor, estimator=pi.estimator)
+    run_folder.save_policy(torque / "policy.npz", layers, replace(env_cfg, clip="torque"))
+    for flags, clip in (([], "power"), (["--clip", "torque"], "torque")):
+        runs = [str(folder) for folder in (torque, power)]
+        assert evaluate.main([*runs, "--episodes", "11", *flags]) == 0
+        assert [env_cfg.clip for env_cfg, _ in asked[-2:]] == [clip, clip]
+        assert [line[:4] for line in capsys.readouterr().out.splitlines()[2:]] == ["| a ", "| b "]
+    (tmp_path / "c").mkdir()
+    other = shutil.copytree(power, tmp_path / "c" / "b")
+    assert evaluate.main([str(power), str(other), "--episodes", "11"]) == 0
+    shown = [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert shown == [f"| {power}", f"| {other}"]
+
+
+def test_no_seed_of_training_draws_what_evaluation_draws():
+    """Environments of training have seeds below 2^33, and those of their ground are smaller. NumPy
+    fills seeds with zeros, so that (2024, 0) would draw what 2024 draws: 1012 * 2.
+    """
+    ours = np.random.SeedSequence(evaluate.SEED).generate_state(4).tolist()
+    for seed in (2024, 2024 + 2**32, evaluate.SEED % 2**33, evaluate.SEED % 2**64):
+        assert np.random.SeedSequence(seed).generate_state(4).tolist() != ours
+    assert evaluate.SEED >= 2**33
 
 
 def test_what_stands_in_the_way_is_one_line(folder, capsys):
