@@ -16,8 +16,10 @@ from pathlib import Path
 
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
+    os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid outside of it
 
 from results import claims, figures, tables
+from runtime import run_folder
 from runtime.cli import COUNT, Parser, misfit, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
@@ -48,8 +50,10 @@ def main(argv):
     else:
         rows, figure = getattr(figures, args.name)(tables.runs(args.what))
         args.out.mkdir(parents=True, exist_ok=True)
-        tables.write(args.out / f"{args.name}.csv", rows)
-        figure.savefig(args.out / f"{args.name}.png", dpi=150)
+        png = dict(dpi=150, format="png")
+        picture = args.out / f"{args.name}.png"
+        run_folder.replace_file(picture, lambda file: figure.savefig(file, **png))
+        tables.write(picture.with_suffix(".csv"), rows)
     return 0
 
 

@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 import evaluate
 from results import tables
 from results.tables import KINDS, LAMBDAS, by_group, score_of, task_of
+from runtime.cli import Refused
 
 PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
 TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
@@ -90,6 +91,17 @@ def by_command(group, kinds, commands, columns, statistic=np.mean):
     return rows
 
 
+def one_group(runs, task):
+    """The name and the kinds of the one group of a task. Refused if its runs have several lengths,
+    since these figures have one panel.
+    """
+    groups = by_group(runs, task)
+    if len(groups) > 1:
+        raise Refused(f"these runs have several lengths, so take some: {'; '.join(groups)}")
+    (found,) = groups.items()
+    return found
+
+
 def panels_by(column, rows, num_panels):
     """A Figure with panels one above the other for each group of rows.
 
@@ -104,7 +116,9 @@ def panels_by(column, rows, num_panels):
 
 
 def log_axis(axes):
-    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..."""
+    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..., unless there is nothing to show on it."""
+    if not axes.dataLim.y1 > 0:
+        return
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter("{x:g}")
@@ -116,12 +130,12 @@ def log_axis(axes):
 
 def draw_lines(axes, rows, column):
     """Draw each kind of run over the command v_x: its mean, its interval over episodes and,
-    lighter, over seeds.
+    lighter, over seeds. What is infinite is left out.
     """
     for name, mine in tables.grouped(rows, "run").items():
-        at, mean, *bands = (
-            [row[x] for row in mine] for x in ("v_x_asked", *(column + end for end in ENDS))
-        )
+        names = "v_x_asked", *(column + end for end in ENDS)
+        numbers = np.array([[row[x] for row in mine] for x in names])
+        at, mean, *bands = np.where(np.isfinite(numbers), numbers, np.nan)
         look = style(name)
         axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **look)
         axes.fill_between(at, *bands[:2], color=look["color"], alpha=0.2, linewidth=0)
@@ -139,7 +153,8 @@ def over_commands(runs, tasks, columns):
         for axes, column in zip(all_axes, columns, strict=True):
             draw_lines(axes, mine, column)
             axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column], xlim=(0, 1))
-        all_axes[0].set_ylim(bottom=BOTTOM[task_of(group)])
+        if (bottom := BOTTOM[task_of(group)]) < all_axes[0].get_ylim()[1]:  # do any of them walk?
+            all_axes[0].set_ylim(bottom=bottom)
         if "energy" in columns:  # a robot that is asked to stand spends much per metre
             log_axis(all_axes[1])
         place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
@@ -164,7 +179,7 @@ def fig4(runs):
 
 def fig5(runs):
     """Task performance and power over commands of v_x and yaw rate. Section V-E."""
-    ((group, kinds),) = by_group(runs, "curriculum").items()
+    group, kinds = one_group(runs, "curriculum")
     rows = by_command(group, kinds, tables.GRID, ("performance", "power"))
     figure, panels = panels_by("run", rows, 2)
     v_x, yaw = tables.GRID[::11, 0], tables.GRID[:11, 2]
@@ -191,7 +206,7 @@ def fig6(runs):
     rows = []
     figure = Figure(figsize=(6.5, 3.6), layout="constrained")
     axes = figure.subplots()
-    ((group, kinds),) = by_group([run for run in runs if run.speed], "velocity").items()
+    group, kinds = one_group([run for run in runs if run.speed], "velocity")
     for name, arm in kinds.items():
         time = arm[0].speed["time"]
         speeds = {run.name: run.speed["v_x"] for run in arm}
@@ -217,7 +232,7 @@ def table1(runs):
     Interquartile means over the episodes of all seeds (D26).
     """
     columns = "peak", "v_x", "power", "energy"
-    ((group, kinds),) = by_group(runs, "velocity").items()
+    group, kinds = one_group(runs, "velocity")
     rows = by_command(group, kinds, np.zeros((1, 3)), columns, evaluate.iqm)
     for row in rows:
         row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)

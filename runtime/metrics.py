@@ -99,6 +99,7 @@ PANELS = dict(
 
 def draw_curves(folder):
     """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
+    os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid in a process of its own
     from matplotlib.figure import Figure  # here, because it is slow to import
 
     columns = read(folder)

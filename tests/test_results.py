@@ -2,7 +2,10 @@
 
 import gzip
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -305,6 +308,39 @@ def test_a_committed_picture_comes_from_the_committed_tables(tmp_path):
     assert (tmp_path / "new/tradeoff.csv").read_text() == committed
     with Image.open(tmp_path / "new/tradeoff.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
+
+
+@pytest.mark.parametrize("figure", ["fig5", "fig6", "table1"])
+def test_one_panel_takes_runs_of_one_length(figure):
+    task = "curriculum" if figure == "fig5" else "velocity"
+    speed = dict(time=np.array([0.5]), v_x=np.array([1.0]))
+    several = [made("a", task, speed), made("b", task, speed, iterations=7)]
+    with pytest.raises(Refused, match=f"several lengths.*{task}, 7 iterations"):
+        getattr(figures, figure)(several)
+
+
+def test_a_figure_of_robots_that_stand():
+    """They have no finite J/m, so that axis is empty. The axis of their score is theirs."""
+    v_x = np.arange(11) / 10
+    stand = made(asked_v_x=v_x, performance=np.full(11, 0.9), power=np.full(11, 100.0))
+    rows, figure = figures.fig2([stand])
+    assert np.isinf([row["energy"] for row in rows]).all()
+    figure.draw_without_rendering()
+    score, energy = figure.axes
+    assert score.get_ylim()[0] < 0.9 < score.get_ylim()[1]
+    assert np.isnan(energy.lines[0].get_ydata()).all()
+
+
+def test_a_notebooks_backend_is_no_obstacle(tmp_path):
+    """Notebooks set one for every process that they start, and it is valid in theirs alone."""
+    (tmp_path / "metrics.csv").write_text("iteration,steps,reward\n1,2,3\n")
+    draw = "import pathlib, sys; from runtime.metrics import draw_curves"
+    draw += "; draw_curves(pathlib.Path(sys.argv[1]))"
+    alpha = "-m", "results", "alpha", "results/rough/rough-eipo-*", "--out", tmp_path
+    options = dict(cwd=ROOT, env=os.environ | dict(MPLBACKEND="module://nobody_has.this"))
+    for arguments in (("-c", draw, tmp_path), alpha):
+        subprocess.run([sys.executable, *arguments], check=True, **options)
+    assert {"curves.png", "alpha.png", "alpha.csv"} <= {path.name for path in tmp_path.iterdir()}
 
 
 # ---- what goes wrong ----
