@@ -15,8 +15,7 @@ import gzip
 import io
 import json
 import math
-import re
-from dataclasses import replace
+import shlex
 from fnmatch import fnmatchcase
 from itertools import product
 from operator import itemgetter
@@ -25,18 +24,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-import eipo
 import evaluate
-import tasks
 from runtime import run_folder
 from runtime.cli import Refused
 
 RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
+POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 # how many are played of each policy from each kind of start, by results/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=1000, curriculum=968)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
+LAMBDA_0 = dict(flat=0.005, rough=0.0002, velocity=0.0002, curriculum=0.005)  # of EIPO, Section V
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
 # the commands of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
@@ -48,7 +47,7 @@ class Run(NamedTuple):
     name: str
     settings: dict  # every setting by name, as in config.json
     row: dict  # its row of runs.csv, as text
-    metrics: dict  # {column: (rows,)}
+    metrics: dict  # {column: (rows,)}, up to the iteration of its policy
     episodes: dict  # {column: (episodes,)}, of pi
     prime: dict  # the same of pi_prime
     speed: dict  # {column: (times,)}
@@ -129,14 +128,28 @@ def commits(row):
 
 
 def settings_of(row):
-    """The settings of a row of runs.csv by name, in which `env.` and `learner.` are left out."""
-    settings = {name: x for name, x in row.items() if name.startswith(("env.", "learner."))}
-    return {name.split(".")[1]: json.loads(x) for name, x in settings.items() if x}
+    """The settings of a row of runs.csv by name, in which `env.` and `learner.` are left out.
+
+    `power_formula` is what Eq. (9) clipped when the run was evaluated. In older tables, which do
+    not say it, that is what it clipped in training.
+    """
+    parts = "env.", "learner.", "evaluation."
+    settings = {name: x for name, x in row.items() if name.startswith(parts) and x}
+    settings = {name.split(".")[1]: json.loads(x) for name, x in settings.items()}
+    settings.setdefault("power_formula", settings["clip"])
+    return settings
+
+
+def differing(a, b):
+    """The names of the settings that both have, and of which they say different things."""
+    return ", ".join(sorted(x for x in a.keys() & b.keys() if a[x] != b[x]))
 
 
 def evaluation(e, nominal=False):
     """Of the columns e of episodes those from random poses, or those from the nominal one."""
-    return where((e["start_spread"] == 0) == nominal, e)
+    # older tables do not say it. They have no run that was trained from the nominal pose
+    mine = e["nominal"] if "nominal" in e else e["start_spread"] == 0
+    return where(mine == nominal, e)
 
 
 def where(mine, e):
@@ -157,17 +170,7 @@ def means(arm):
     return each, {name: x.mean() for name, x in each.items()}
 
 
-# ---- kinds of runs: EIPO or PPO(lambda), and whatever else is not usual for the task ----
-
-
-def usual(settings):
-    """The eipo.Config with which runs like this one are expected: that of the task, or with another
-    number of iterations one with the paper's learning rate of alpha.
-    """
-    cfg = eipo.Config(**tasks.TASKS[settings["task"]].learner)
-    if settings["iterations"] == cfg.iterations:
-        return cfg
-    return replace(cfg, iterations=settings["iterations"], lr_alpha=eipo.Config.lr_alpha)
+# ---- kinds of runs: EIPO or PPO(lambda), and in what else a run is unlike others in its table ----
 
 
 def group(settings):
@@ -185,15 +188,26 @@ def score_of(group):
     return "peak" if task_of(group) == "velocity" else "performance"
 
 
-def kind(settings):
-    """What tables and figures call a run with these settings, {name: setting}, in its group."""
-    s, cfg = settings, usual(settings)
-    name = f"PPO({s['lam']:g})"
-    if s["algo"] == "eipo":
-        name = "EIPO" + f" from {s['lam']:g}" * (s["lam"] != cfg.lam)
-        name += f" at eta_alpha {s['lr_alpha']:g}" * (s["lr_alpha"] != cfg.lr_alpha)
-    name += " smooth" * (s["aux"] == "smooth") + " shaped" * (s["reward"] == "shaped")
-    return name + f", {s['num_envs']} robots" * (s["num_envs"] != cfg.num_envs)
+def unsaid(settings):
+    """The settings that a run reads, and that neither its group, its seed nor a plain name says."""
+    said = {"task", "iterations", "seed", "algo", "aux", "reward"}
+    if settings["algo"] == "ppo":  # whose name has lambda, and which reads no step of alpha
+        said |= {"lam", *(name for name in settings if name.endswith("_alpha"))}
+    return {name: x for name, x in settings.items() if name not in said}
+
+
+def kind(settings, usual):
+    """What tables and figures call a run with these settings, {name: setting}.
+
+    usual: the settings that need no word in its table; what a run does not say is unknown
+    """
+    name = f"PPO({settings['lam']:g})" if settings["algo"] == "ppo" else "EIPO"
+    other = {x: y for x, y in unsaid(settings).items() if y != usual[x]}
+    for x, words in dict(lam="from", lr_alpha="at eta_alpha").items():
+        if x in other:
+            name += f" {words} {other.pop(x):g}"
+    name += " smooth" * (settings["aux"] == "smooth") + " shaped" * (settings["reward"] == "shaped")
+    return name + "".join(f", {x} {y}" for x, y in other.items())
 
 
 def by_group(runs, *of):
@@ -212,23 +226,22 @@ def by_group(runs, *of):
 
 
 def by_kind(runs):
-    """The runs of one group by kind.
+    """The runs of one group by kind. A name says in which settings a run is unlike the first of
+    them, or, for EIPO, the paper's lambda_0; today's defaults are not asked.
 
-    Refused if two of one kind differ in more than the seed, or not in it: such runs are no sample
-    of anything.
+    Refused if two of one kind have the same seed: one of them would count twice.
     """
+    task = runs[0].settings["task"]
+    usual = dict(lam=LAMBDA_0[task]) if task in LAMBDA_0 else {}
+    for run in runs:
+        usual = unsaid(run.settings) | usual
     kinds = {}
     for run in runs:
-        kinds.setdefault(kind(run.settings), []).append(run)
-    for name, (first, *others) in kinds.items():
-        for other in others:
-            a, b = first.settings, other.settings
-            names = {x for x in a.keys() & b.keys() if a[x] != b[x]}
-            if a["algo"] == "ppo":  # which reads no learning rate of alpha
-                names = {x for x in names if not x.endswith("_alpha")}
-            if names != {"seed"}:
-                what = f"{first.name} and {other.name} are {name} and differ in"
-                raise Refused(f"{what} {', '.join(sorted(names)) or 'nothing'}")
+        same = kinds.setdefault(kind(run.settings, usual), {})
+        other = same.setdefault(run.settings["seed"], run)
+        if other is not run:
+            raise Refused(f"{other.name} and {run.name} differ in nothing, not even the seed")
+    kinds = {name: list(arm.values()) for name, arm in kinds.items()}
     place = {name: i for i, name in enumerate(KINDS)}
     last = len(KINDS)
     return dict(sorted(kinds.items(), key=lambda x: (place.get(x[0].split(",")[0], last), x[0])))
@@ -250,51 +263,95 @@ def with_primes(kinds):
 def add(folders, results=RESULTS, num_episodes=None):
     """Play run folders and put them into the tables of their tasks in the folder `results`.
 
-    num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name is
-    replaced.
+    num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name and
+    settings is replaced. Whatever is refused is refused before anything is played.
     """
-    for folder in (Path(folder).resolve() for folder in folders):
-        row = run_row(folder)
+    found = {}
+    for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):
+        if folder.name in found:
+            raise Refused(f"{found[folder.name][0]} and {folder} have one name: rename one of them")
+        about, metrics = learned(folder)
+        row = run_row(folder, int(metrics[-1]["iteration"]))
+        settings = settings_of(row)
+        del settings["iterations"]  # a run that goes on has more
+        if other := differing(about, settings):
+            raise Refused(f"{folder}: policy.npz and config.json have another {other}")
+        for kept in read(path := results / settings["task"] / RUNS):
+            other = differing(settings_of(kept), settings)
+            if kept["run"] == folder.name and other:
+                raise Refused(f"{path} has a {folder.name} with another {other}: rename the folder")
+        found[folder.name] = folder, row, metrics
+    for name, (folder, row, metrics) in found.items():
         task = settings_of(row)["task"]
         n = num_episodes or NUM_EPISODES.get(task, 330)
         played, speeds = play(folder, task, n)
         mine = columns(grouped(played, "policy")["pi"])
-        row = dict(run=folder.name) | numbers_of(mine) | row
-        parts = {RUNS: [row], METRICS: thinned(folder), EPISODES: played}
+        row = dict(run=name) | numbers_of(mine) | row
+        parts = {RUNS: [row], METRICS: thinned(name, metrics), EPISODES: played}
         if task == "velocity":
             parts[SPEED] = speeds
         (results / task).mkdir(parents=True, exist_ok=True)
-        for name, new in parts.items():
-            path = results / task / name
-            others = [x for x in read(path) if x["run"] != folder.name]
+        for file, new in parts.items():
+            path = results / task / file
+            others = [x for x in read(path) if x["run"] != name]
             write(path, sorted([*others, *new], key=itemgetter("run")))
 
 
-def run_row(folder):
-    """The row of runs.csv of a run folder, without scores. What is JSON there is JSON here."""
+def learned(folder):
+    """What the policies of a run folder say of themselves, {} if nothing, and the rows of its
+    metrics.csv up to their iteration. Later ones are of a policy that was not saved.
+    """
+    files = [folder / POLICIES["pi"]]
+    files += [path for path in [folder / POLICIES["prime"]] if path.exists()]
+    about, *prime = (run_folder.load_policy(path)[0].about for path in files)
+    if prime not in ([], [about]):
+        one, other = (x.get("iteration", "unknown") for x in (about, *prime))
+        raise Refused(f"{folder}: pi is of iteration {one} and pi' of {other}: --resume the run")
+    rows = read(path := folder / "metrics.csv")
+    with run_folder.reading(path):
+        iterations = [int(row["iteration"]) for row in rows]
+        last = about.get("iteration", iterations[-1])
+    if last not in iterations:
+        raise Refused(f"{path} has no row of iteration {last}, of which policy.npz is")
+    return about, rows[: iterations.index(last) + 1]
+
+
+def run_row(folder, done):
+    """The row of runs.csv of a run folder, without scores. What is JSON there is JSON here.
+
+    done: the iterations of its policy, fewer than were asked for if it was stopped
+    """
     with run_folder.reading(folder / "config.json"):
-        text = (folder / "config.json").read_text()
-        # where a run was kept is of its machine, and its name stands in the table anyway
-        config = json.loads(re.sub(r" --out[ =]('[^']*'|[^ \"]+)", "", text))
+        config = json.loads((folder / "config.json").read_text())
+        for start in config["starts"]:
+            start["command"] = without_out(start["command"])
         first, *resumed = config["starts"]
         cfg = config["learner"]
-        done = int(read(folder / "metrics.csv")[-1]["iteration"])
-        cfg["iterations"] = done  # fewer than were asked for, if it was stopped
+        cfg["iterations"] = done
         row = dict(seed=cfg["seed"], iterations=done)
         row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
         row |= first | dict(versions=json.dumps(first["versions"]))
         row |= dict(resumed=json.dumps(resumed) if resumed else "")
         for part in ("env", "learner"):
             row |= {f"{part}.{name}": json.dumps(x) for name, x in config[part].items()}
-        return row
+        return row | {"evaluation.power_formula": json.dumps(evaluate.CLIP)}
 
 
-def thinned(folder):
-    """Yields every tenth row and the last one of a run's metrics."""
-    rows = read(folder / "metrics.csv")
+def without_out(command):
+    """A command line without --out: where a run was kept is of its machine, and its name stands in
+    the table anyway.
+    """
+    words = shlex.split(command)
+    out = {i + k for i, word in enumerate(words) if word == "--out" for k in (0, 1)}
+    kept = [word for i, word in enumerate(words) if i not in out]
+    return shlex.join(word for word in kept if not word.startswith("--out="))
+
+
+def thinned(name, rows):
+    """Yields every tenth row and the last one of the metrics of a run."""
     for row in rows:
         if int(row["iteration"]) % 10 == 0 or row is rows[-1]:
-            yield dict(run=folder.name) | {name: float(x) for name, x in row.items()}
+            yield dict(run=name) | {column: float(x) for column, x in row.items()}
 
 
 def play(folder, task, num_episodes):
@@ -305,7 +362,7 @@ def play(folder, task, num_episodes):
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
     asked = np.repeat(commands, math.ceil(num_episodes / len(commands)), 0)
-    policies = ("pi", "prime") if (folder / "policy_prime.npz").exists() else ("pi",)
+    policies = [name for name, file in POLICIES.items() if (folder / file).exists()]
     rows, speeds = [], []
     for policy, nominal in product(policies, (False, True)):
         pi, env_cfg = evaluate.load(folder, nominal=nominal, prime=policy == "prime")
@@ -314,7 +371,7 @@ def play(folder, task, num_episodes):
         if policy == "pi" and not nominal:
             speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
         table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
-        row = dict(run=folder.name, policy=policy, start_spread=env_cfg.start_spread)
+        row = dict(run=folder.name, policy=policy, nominal=int(nominal))
         for numbers in zip(*table.values(), strict=True):
             rows.append(row | dict(zip(table, map(float, numbers), strict=True)))
     return rows, speeds

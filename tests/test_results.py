@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ import policy
 import tasks
 from results import figures, tables
 from results.__main__ import main
-from results.tables import by_group, kind
+from results.tables import by_group
+from runtime import run_folder
 from runtime.cli import Refused
 
 RESULTS = ROOT / "results"
@@ -156,13 +157,13 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
 
 
 def test_kinds_of_runs():
-    """EIPO first, then lambda ascends. What is not usual for a task is part of the name. PPO reads
-    no learning rate of alpha.
+    """EIPO first, then lambda ascends. In what a run is unlike the first one is part of its name.
+    PPO reads no learning rate of alpha.
     """
     ppo = dict(algo="ppo", lr_alpha=7.0)
     settings = dict(
         a=dict(lam=0.002),
-        b=dict(lr_alpha=0.01),
+        b=dict(lr_alpha=0.01, momentum_alpha=0.5),
         c=dict(num_envs=64),
         d=dict(lam=0.005, **ppo),
         e=dict(lam=0.0, **ppo),
@@ -174,16 +175,16 @@ def test_kinds_of_runs():
     (flat,) = by_group(several, "flat").values()
     assert {name: [run.name for run in runs] for name, runs in flat.items()} == {
         "EIPO": ["f"],
-        "EIPO, 64 robots": ["c"],
+        "EIPO, num_envs 64": ["c"],
         "PPO(0)": ["e", "h"],
         "PPO(0.005)": ["d"],
-        "EIPO at eta_alpha 0.01": ["b"],
+        "EIPO at eta_alpha 0.01, momentum_alpha 0.5": ["b"],
         "EIPO from 0.002": ["a"],
     }
 
 
 def test_a_longer_run_is_of_another_group():
-    """It has the paper's learning rate of alpha, and says so if it has another one."""
+    """In which another learning rate of alpha is usual."""
     long = dict(iterations=4000)
     runs = [made("a"), made("b", lr_alpha=0.01, **long), made("c", lr_alpha=0.5, **long)]
     groups = by_group([*runs, made("d", "rough")])
@@ -195,13 +196,57 @@ def test_a_longer_run_is_of_another_group():
     assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough, 600 iterations"]
 
 
-@pytest.mark.parametrize(("other", "says"), [({}, "nothing"), (dict(history=3), "history")])
-def test_runs_that_must_not_be_pooled_are_one_line(other, says):
-    """The same kind and seed twice would count one policy double; other settings are another
-    experiment.
+def test_runs_that_are_unlike_have_names_of_their_own():
+    """Of whatever kind they are: EIPO with noise beside PPO without. What a run does not say is
+    unknown, and what all have is not worth a word, whatever today's default is.
     """
-    with pytest.raises(Refused, match=f"again.*{says}"):
-        by_group([made("r"), made("again", **other)])
+    eipo_run, other = made("a", history=3), made("b", history=3, seed=1)
+    del other.settings["history"]
+    ppo = dict(algo="ppo", lam=0.0, history=3)
+    several = [eipo_run, other, made("c", noise=0.0, mirror=False, **ppo), made("d", **ppo)]
+    (kinds,) = by_group(several).values()
+    assert {name: [run.name for run in runs] for name, runs in kinds.items()} == {
+        "EIPO": ["a", "b"],
+        "PPO(0)": ["d"],
+        "PPO(0), noise 0.0, mirror False": ["c"],
+    }
+
+
+def test_no_kept_run_is_renamed_when_a_default_changes(monkeypatch):
+    """EIPO from the paper's lambda_0 is EIPO, and in a task of one's own it is the first one."""
+    kept, others = [made("a"), made("b", lam=0.02)], [made("c"), made("d", lam=0.02)]
+    for run in others:
+        run.settings["task"] = "hop"
+    other = tasks.TASKS["flat"]._replace(learner=dict(lam=0.02, iterations=7, lr_alpha=3.0))
+    monkeypatch.setitem(tasks.TASKS, "flat", other)
+    names = [list(kinds) for kinds in by_group(kept + others).values()]
+    assert names == [["EIPO", "EIPO from 0.02"]] * 2
+    kept.reverse()
+    others.reverse()
+    names = [list(kinds) for kinds in by_group(kept + others).values()]
+    assert names == [["EIPO", "EIPO from 0.02"], ["EIPO", "EIPO from 0.005"]]
+
+
+def test_two_formulas_of_power_have_two_names():
+    """Older tables do not say how power was measured: as it was in training."""
+    torque, power = ({"env.clip": json.dumps(x)} for x in ("torque", "power"))
+    new = {"evaluation.power_formula": '"power"'}
+    rows = power, torque | new, torque, power | new
+    found = [tables.settings_of(row)["power_formula"] for row in rows]
+    assert found == ["power", "power", "torque", "power"]
+    several = [made(clip=x) for x in ("power", "torque", "torque")]
+    for run, formula in zip(several, ("power", "power", "torque"), strict=True):
+        run.settings["power_formula"] = formula
+    (kinds,) = by_group(several).values()
+    assert list(kinds) == [
+        "EIPO",
+        *(f"EIPO, clip torque{x}" for x in ("", ", power_formula torque")),
+    ]
+
+
+def test_a_run_does_not_count_twice():
+    with pytest.raises(Refused, match=r"r and again .* nothing"):
+        by_group([made("r"), made("again")])
 
 
 # ---- the tables ----
@@ -240,7 +285,7 @@ def test_a_run_that_is_put_in_comes_out(short):
     other = run_of("flat-ppo-seed3", seed=3, algo="ppo")
     assert main(["add", str(other), "--results", "kept", "--episodes", "11"]) == 0
     eipo_run, ppo_run = tables.runs(["kept/flat"])
-    both = {**config["env"], **config["learner"], "iterations": 35}
+    both = {**config["env"], **config["learner"], "iterations": 35, "power_formula": "power"}
     assert eipo_run.settings == both and ppo_run.settings["algo"] == "ppo"
     assert eipo_run.metrics["iteration"].tolist() == [10, 20, 30, 35]
     assert eipo_run.metrics["v_x"].tolist() == [10.333, 20.333, 30.333, 35.333]
@@ -258,6 +303,134 @@ def test_a_run_that_is_put_in_comes_out(short):
     assert pi.episodes["v_x"].tolist() == prime.episodes["v_x"].tolist()
     mean = tables.evaluation(pi.episodes)["performance"].mean()
     assert float(row["performance"]) == pytest.approx(mean, rel=1e-3) and not ppo_run.prime
+
+
+def rewrite(file, about=(), **world):
+    """Let a policy file of a run folder say what it is of, in a world with other settings."""
+    pi, env_cfg = run_folder.load_policy(file)
+    layers = dict(actor=pi.actor, estimator=pi.estimator)
+    run_folder.save_policy(file, layers, replace(env_cfg, **world), about)
+
+
+def change_config(folder, part, **settings):
+    """Other settings in a part of config.json."""
+    config = json.loads((folder / "config.json").read_text())
+    config[part] |= settings
+    (folder / "config.json").write_text(json.dumps(config))
+
+
+def test_a_row_is_of_its_policy(short):
+    """A run of 35 iterations was killed before their policy was saved: what there is is that of 20.
+    Its own iterations * 24 * 256 steps count, and its alpha.
+    """
+    folder = run_of("r", seed=3)
+    rewrite(folder / "policy.npz", dict(iteration=20, algo="eipo", lam=0.005, seed=3))
+    text = (
+        (folder / "metrics.csv")
+        .read_text()
+        .replace("20,2000020,1.0,20.333333333333332,inf", "20,1,1,1,7")
+    )
+    (folder / "metrics.csv").write_text(text)
+    assert main(["add", str(folder), "--results", "kept", "--episodes", "11"]) == 0
+    (run,) = tables.runs(["kept/flat/r"])
+    assert run.settings["iterations"] == 20 and list(by_group([run])) == ["flat, 20 iterations"]
+    assert (run.row["iterations"], run.row["steps"]) == ("20", str(20 * 24 * 256))
+    assert run.metrics["iteration"].tolist() == [10, 20] and run.metrics["alpha"][-1] == 7
+
+
+def two_ages(folder):
+    rewrite(folder / "policy.npz", dict(iteration=20))
+    shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
+    rewrite(folder / "policy_prime.npz", dict(iteration=10))
+
+
+TOLD_APART = {
+    "pi is of iteration 20 and pi' of 10": two_ages,
+    "metrics.csv has no row of iteration 36": lambda x: rewrite(
+        x / "policy.npz", dict(iteration=36)
+    ),
+    "policy.npz and config.json have another seed": lambda x: rewrite(
+        x / "policy.npz", dict(seed=4)
+    ),
+    "metrics.csv is damaged": lambda x: (x / "metrics.csv").write_text("iteration,steps\n"),
+}
+
+
+@pytest.mark.parametrize("says", TOLD_APART)
+def test_what_does_not_belong_together_is_one_line(short, capsys, says):
+    """And it is found before the first run is played."""
+    first, other = run_of("first"), run_of("other", seed=3)
+    TOLD_APART[says](other)
+    assert says in error_of(capsys, main, "add", first, other, "--results", "kept")
+    assert not Path("kept").exists()
+
+
+def test_two_runs_of_one_name_are_one_line(short, capsys):
+    """In one command, and in two as soon as they differ. A run that goes on is the same one."""
+    for place in ("a", "b"):
+        Path(place).mkdir()
+    a, b = run_of("a/run"), run_of("b/run", lam=0.01)
+    to = ["--results", "kept", "--episodes", "11"]
+    assert "have one name" in error_of(capsys, main, "add", a, b, *to)
+    assert not Path("kept").exists()
+    assert main(["add", str(a), str(a), *to]) == 0
+    before = Path("kept/flat/runs.csv").read_bytes()
+    assert "has a run with another lam" in error_of(capsys, main, "add", b, *to)
+    assert Path("kept/flat/runs.csv").read_bytes() == before
+    rewrite(a / "policy.npz", dict(iteration=30))
+    assert main(["add", str(a), *to]) == 0
+    (run,) = tables.runs(["kept/flat/run"])
+    assert run.settings["iterations"] == 30
+
+
+def test_a_run_that_was_trained_from_the_nominal_pose_can_be_put_in(short):
+    """Its random starts are nominal ones, too, and both are there."""
+    folder = run_of("r")
+    rewrite(folder / "policy.npz", start_spread=0.0)
+    change_config(folder, "env", start_spread=0.0)
+    assert main(["add", str(folder), "--results", "kept", "--episodes", "11"]) == 0
+    (run,) = tables.runs(["kept/flat/r"])
+    for nominal in (False, True):
+        assert len(tables.evaluation(run.episodes, nominal)["fell"]) == 11
+    assert main(["table", "kept/flat/r"]) == 0
+
+
+def test_the_printed_clip_is_measured_as_all_are(short):
+    """It decides what a policy learns, and not how its power is measured."""
+    power, torque = run_of("power"), run_of("torque")
+    rewrite(torque / "policy.npz", clip="torque")
+    change_config(torque, "env", clip="torque")
+    assert main(["add", str(power), str(torque), "--results", "kept", "--episodes", "11"]) == 0
+    a, b = tables.runs(["kept/flat/*"])
+    assert a.episodes["power"].tolist() == b.episodes["power"].tolist()
+    assert list(*by_group([a, b]).values()) == ["EIPO", "EIPO, clip torque"]
+
+
+@pytest.mark.parametrize(
+    "out", ["--out a/b", "--out=a", "'--out=my runs/a'", "--out 'my runs/a'", "--out 'it'\"'\"'s'"]
+)
+def test_a_row_does_not_say_where_its_run_was(out):
+    typed = f"python train.py {out} --task flat"
+    assert tables.without_out(typed) == "python train.py --task flat"
+
+
+class Played(Exception):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("task", "n"), [("flat", 330), ("rough", 330), ("velocity", 1000), ("curriculum", 968)]
+)
+def test_as_many_episodes_as_the_rules_say(short, monkeypatch, task, n):
+    """Sections 1 and 8 of rules.md, and eight of each of the 11 x 11 commands of Figure 5."""
+
+    def run_episodes(policy, env):
+        raise Played(env)
+
+    monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
+    monkeypatch.setattr(evaluate, "make_env", lambda env_cfg, command: len(command))
+    with pytest.raises(Played, match=f"^{n}$"):
+        main(["add", str(run_of("r", task)), "--results", "kept"])
 
 
 def test_velocity_keeps_speeds_over_time(short):
@@ -290,7 +463,7 @@ def test_the_record_can_be_read():
     for place in places:
         runs = tables.runs([place / "*"])
         assert len(runs) > 5 and all(run.settings["task"] == place.name for run in runs)
-        assert all(kind(run.settings) for run in runs)
+        assert by_group(runs)
         names = {run.name for run in runs}
         for file in (tables.METRICS, tables.EPISODES, tables.SPEED):
             assert {row["run"] for row in tables.read(place / file)} <= names
@@ -351,7 +524,7 @@ def test_a_notebooks_backend_is_no_obstacle(tmp_path):
     [
         (["fig2", str(RESULTS / "flat" / "nobody")], "no run nobody"),
         (["fig3", str(RESULTS / "flat" / "flat-ppo-lam0-seed10")], "task rough"),
-        (["add", "nowhere"], "nowhere/config.json does not exist"),
+        (["add", "nowhere"], "nowhere/policy.npz does not exist"),
     ],
 )
 def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
