@@ -79,7 +79,7 @@ def counted(results=tables.RESULTS):
     """The runs that count, by group and kind, in which "pi' of EIPO" is a kind, too. Of the groups
     of a task the one with the longest runs comes first.
 
-    Refused if those of a group are of several commits, or if there are none at all.
+    Refused if those of a group are of several commits or of unknown ones, or if there are none.
     """
     found = {}
     for place in (results / task for task in TASKS):
@@ -89,7 +89,7 @@ def counted(results=tables.RESULTS):
         found |= by_group(runs)
     for kinds in found.values():
         commits = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
-        if len(commits) > 1:
+        if len(commits) > 1 or "unknown" in commits:  # two that are unknown may be two
             raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
     if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")

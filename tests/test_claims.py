@@ -205,8 +205,8 @@ def test_runs_that_count(tmp_path, capsys):
     """Seeds from 10 to 17, of one commit in a group, of which all their starts must be. The longest
     group of a task comes first.
     """
-    others = ("a", 9, "old"), ("d", 23, "old"), ("long", 10, "newest")
-    write(tmp_path / "flat", ("b", 10, "new"), ("c", 11, "new"), *others)
+    others = ("a", 9, "old"), ("d", 18, "old"), ("long", 10, "newest")
+    write(tmp_path / "flat", ("b", 10, "new"), ("c", 17, "new"), *others)
     groups = claims.counted(tmp_path)
     names = {group: [run.name for run in kinds["EIPO"]] for group, kinds in groups.items()}
     assert list(names.items()) == [
@@ -219,6 +219,9 @@ def test_runs_that_count(tmp_path, capsys):
     write(tmp_path / "resumed" / "flat", ("a", 10, "new", "0ld"), ("b", 11, "new"))
     assert main(["claims", "--results", str(tmp_path / "resumed")]) == 2
     assert "0ld, new" in capsys.readouterr().err
+    write(tmp_path / "unknown" / "flat", ("a", 10, "unknown"), ("b", 11, "unknown"))
+    assert main(["claims", "--results", str(tmp_path / "unknown")]) == 2
+    assert "commits: unknown" in capsys.readouterr().err
     assert main(["claims", "--results", str(tmp_path / "nothing")]) == 2
     assert "has no run" in capsys.readouterr().err
 

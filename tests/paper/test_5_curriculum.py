@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from support import place, quiet, still
 
 from tasks import Grid
 
@@ -66,6 +68,21 @@ def test_success_needs_both(linear, angular, success):
     commands = grid({})
     commands.record(np.array([centre((10, 20))]), np.array([[linear, angular]]))
     assert commands.weights.any() == success
+
+
+@pytest.mark.parametrize(("frame", "kernel"), [("heading", 1.0), ("body", np.exp(-1))])
+def test_success_is_in_the_frame_that_is_rewarded(frame, kernel):
+    """D25. Nose up by 60 degrees, 1 m/s and 1 rad/s over ground, as asked. In the body frame both
+    are cos 60 = 1/2 of it: exp(-0.5^2 / 0.25) = 1/e.
+    """
+    env, seen = quiet(1, velocity_frame=frame, command_steps=1), []
+    env.commands.record = lambda command, kernels: seen.append(kernels[0])
+    nose_up = Rotation.from_euler("Y", -60, degrees=True)
+    rates = nose_up.apply([0.0, 0.0, 1.0], inverse=True)
+    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0), rates=rates)
+    env.state.command[:] = 1.0, 0.0, 1.0
+    still(env)
+    assert seen == [pytest.approx([kernel, kernel], abs=1e-4)]
 
 
 def test_commands_come_from_their_cells():

@@ -16,11 +16,11 @@ from results import figures
 
 class Scripted:
     """A stand-in for Go1Env: three robots whose every step is known. Robot 1 falls in step 3, robot
-    2 hardly moves, and falls in the last step.
+    2 hardly gets on, and falls in the last step.
 
-    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 always 3/64;
-    power 8 W times the number of the robot plus 1; reward 0.5. After robot 1's fall the next
-    episode has begun: nothing of its 64 counts.
+    20 steps, v_x of robot 0 is 1, 2, 3, ... 20 m/s, of robot 1 always 2, of robot 2 three times
+    17/16 and then -3, so 3/64 in the mean; power 8 W times the number of the robot plus 1; reward
+    0.5. After robot 1's fall the next episode has begun: nothing of its 64 counts.
     """
 
     num_envs, env_cfg = 3, SimpleNamespace(episode_steps=20)
@@ -32,7 +32,8 @@ class Scripted:
 
     def step(self, action):
         self.t += 1
-        speed, power = [self.t, 2.0, 3 / 64], [8.0, 16.0, 24.0]
+        back_and_forth = 17 / 16 if self.t % 4 else -3.0
+        speed, power = [self.t, 2.0, back_and_forth], [8.0, 16.0, 24.0]
         log = dict(v_x=speed, power=power)
         over = np.array([False, self.t > 3, False])
         log = {name: np.where(over, 64.0, x) for name, x in log.items()}
@@ -57,11 +58,11 @@ def test_performance_counts_early_ends_as_zeros(episodes):
 
 def test_velocity_and_power_are_of_the_first_episode(episodes):
     """D18. Robot 0: (1 + ... + 20) / 20 = 10.5 m/s and 8 W, and 20 m/s at most; robot 1: 2 m/s and
-    16 W, and no speed after its fall.
+    16 W, and no speed after its fall. Robot 2 is fastest when it goes back, which is no peak.
     """
     measured, v_x = episodes
     assert measured.v_x.tolist() == [10.5, 2.0, 3 / 64]
-    assert measured.peak.tolist() == [20.0, 2.0, 3 / 64]
+    assert measured.peak.tolist() == [20.0, 2.0, 17 / 16]
     assert measured.power.tolist() == [8.0, 16.0, 24.0]
     assert v_x[:3, 1].tolist() == [2.0] * 3 and np.isnan(v_x[3:, 1]).all()
 
@@ -122,6 +123,17 @@ def test_iqm_by_hand():
     for greatest in (7.0, 1000.0):
         assert evaluate.iqm(np.array([greatest, 1, 2, 3, 4, 5, 6, 0])) == 3.5
     assert evaluate.iqm(np.arange(100.0) ** 2) == 2658.5
+
+
+def test_an_interval_is_of_2000_samples():
+    drawn = []
+
+    def mean(x, axis):
+        drawn.append(x.size / 8)
+        return x.mean(axis)
+
+    evaluate.interval([np.arange(8.0)], mean, batch=100)
+    assert sum(drawn) == 2000
 
 
 def test_summarise_by_hand():
