@@ -8,6 +8,7 @@ import pytest
 from support import error_of, make_run
 
 import evaluate
+from networks import MLP
 from runtime import run_folder
 
 
@@ -52,8 +53,8 @@ def test_all_runs_are_measured_by_one_formula_of_power(asked, tmp_path, capsys):
     """
     torque, power = (make_run(tmp_path / name) for name in "ab")
     pi, env_cfg = run_folder.load_policy(torque / "policy.npz")
-    layers = dict(actor=pi.actor, estimator=pi.estimator)
-    run_folder.save_policy(torque / "policy.npz", layers, replace(env_cfg, clip="torque"))
+    params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
+    run_folder.save_policy(torque / "policy.npz", params, replace(env_cfg, clip="torque"))
     for flags, clip in (([], "power"), (["--clip", "torque"], "torque")):
         runs = [str(folder) for folder in (torque, power)]
         assert evaluate.main([*runs, "--episodes", "11", *flags]) == 0

@@ -10,6 +10,7 @@ from support import NOMINAL, ROOT, error_of, make_run
 
 import evaluate
 import go1
+from networks import MLP
 from runtime import run_folder
 
 SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action
@@ -52,8 +53,8 @@ def test_a_policy_says_what_it_is_of(tmp_path):
     """In its JSON beside the settings of its world. Files of older runs do not, and are read."""
     path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)
     made, env_cfg = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
-    layers = dict(actor=made.actor, estimator=made.estimator)
-    run_folder.save_policy(path, layers, env_cfg, about)
+    params = dict(actor=MLP(made.actor), estimator=MLP(made.estimator))
+    run_folder.save_policy(path, params, env_cfg, about)
     pi, same = run_folder.load_policy(path)
     assert pi.about == about and pi.config == made.config and same == env_cfg
     assert made.about == {} and run_folder.load_policy(COMMITTED[0])[0].about == {}

@@ -18,6 +18,7 @@ import eipo
 import evaluate
 import policy
 import tasks
+from networks import MLP
 from results import figures, tables
 from results.__main__ import main
 from results.tables import by_group
@@ -308,8 +309,8 @@ def test_a_run_that_is_put_in_comes_out(short):
 def rewrite(file, about=(), **world):
     """Let a policy file of a run folder say what it is of, in a world with other settings."""
     pi, env_cfg = run_folder.load_policy(file)
-    layers = dict(actor=pi.actor, estimator=pi.estimator)
-    run_folder.save_policy(file, layers, replace(env_cfg, **world), about)
+    params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
+    run_folder.save_policy(file, params, replace(env_cfg, **world), about)
 
 
 def change_config(folder, part, **settings):
