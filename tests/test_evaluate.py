@@ -19,13 +19,15 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """Instead of episodes: robot k of them performs at k % 2. A list of what was asked for."""
+    """Instead of episodes: robot k of them performs at k % 2, at 1 m/s and on 100 W per m/s that it
+    was asked for. A list of what was asked for.
+    """
     seen = []
 
     def run_episodes(policy, env):
         seen.append((env.env_cfg, env.commands.command))
-        columns = [np.arange(env.num_envs) % 2.0] * len(evaluate.Episodes._fields)
-        return evaluate.Episodes(*columns), None
+        half, one = np.arange(env.num_envs) % 2.0, np.ones(env.num_envs)
+        return evaluate.Episodes(half, half, one, 100 * env.commands.command[:, 0], 2 * one), None
 
     monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
     return seen
@@ -33,13 +35,14 @@ def asked(monkeypatch):
 
 def test_the_line_of_a_run(folder, asked, capsys):
     """20 episodes become 22, two of each of 11 commands in turn, on the 15 cm of Section V-B. Half
-    of them perform at 1, so the mean is 1/2.
+    of them perform at 1, so the mean is 1/2. They draw 0, 10, ... 100 W, 50 in the mean, and 55
+    where they are asked to move.
     """
     assert evaluate.main([str(folder), "--episodes", "20", "--clip", "torque"]) == 0
     head, _, line = capsys.readouterr().out.splitlines()
     row = dict(zip(head.split(" | "), line.split(" | "), strict=True))
-    assert (row["performance"], row["fell"], row["power"]) == ("0.5", "0.5", "0.5")
-    assert row["episodes"] == "22" and row["peak"] == "0.5"
+    assert (row["performance"], row["fell"], row["power"]) == ("0.5", "0.5", "50")
+    assert (row["episodes"], row["peak"], row["v_x"], row["J/m |"]) == ("22", "2", "1", "55 |")
     assert 0.2 < float(row["95 % from"]) < 0.5 < float(row["to"]) < 0.8
     ((env_cfg, commands),) = asked
     assert env_cfg.roughness == (0.15, 0.15) and env_cfg.start_spread == 0.5

@@ -76,9 +76,13 @@ def test_a_cell_is_of_its_own_command_and_pools_the_seeds():
 
 
 def test_every_seed_counts_with_as_many_episodes():
-    """Of eight and four episodes the first four: 0 ... 3 and 8 ... 11 have the mean 5.5."""
-    rows = fig2([eight(0), eight(1, n=4)])
-    assert rows[0]["performance"] == 5.5 and cells(rows, "episodes") == [(4,)]
+    """Of eight and four episodes the first four: 0 ... 3 and 8 ... 11 have the mean 5.5. One of the
+    first seed's four falls.
+    """
+    other = eight(1, n=4)
+    other.episodes["fell"][:] = False
+    rows = fig2([eight(0), other])
+    assert rows[0]["performance"] == 5.5 and cells(rows, "episodes", "fell") == [(4, 1 / 8)]
 
 
 def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
@@ -88,40 +92,52 @@ def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
     assert np.isnan([rows[0][f"performance_seeds_{end}"] for end in ("low", "high")]).all()
 
 
+def test_the_lighter_band_is_over_seeds():
+    """At the command 0 the seeds of `eight` are at 3.5 and 11.5."""
+    _, figure = figures.fig2([eight(1), eight(0)])
+    _, lighter = figure.axes[0].collections
+    x, y = lighter.get_paths()[0].vertices.T
+    assert lighter.get_alpha() == 0.1 and set(y[x == 0]) == {3.5, 11.5}
+
+
 def test_fig4_has_a_panel_for_flat_and_for_rough_ground():
+    """On flat ground the score's axis begins at 1.2, on rough ground at 0.8."""
     rows, figure = figures.fig4([eight(0), eight(0, task="rough")])
     assert cells(rows, "group", "run") == [
         (f"{task}, 600 iterations", "EIPO") for task in ("flat", "rough")
     ]
     drawn = [axes.lines[0].get_ydata().tolist() for axes in figure.axes]
     assert drawn == 2 * [[100 * i + 3.5 for i in range(11)]]
+    assert [axes.get_ylim()[0] for axes in figure.axes] == [1.2, 0.8]
 
 
 def test_table1_has_interquartile_means_beside_the_papers():
     """D26. Peaks 0 ... 6 and 1000: the middle half 2, 3, 4, 5 has the mean 3.5. The paper has 2.86
-    for EIPO, and nothing for another lambda_0.
+    for EIPO, and nothing for another lambda_0. Starts from the nominal pose do not count.
     """
     fast = [made("a", "velocity", peak=[0, 1, 2, 3, 4, 5, 6, 1000])]
-    fast += [made("b", "velocity", peak=[1.0, 1], lam=0.01)]
+    fast += [made("b", "velocity", peak=[1.0, 1, 9, 9], start_spread=[0.5, 0.5, 0, 0], lam=0.01)]
     rows, figure = figures.table1(fast)
     assert cells(rows, "run", "peak", "paper")[0] == ("EIPO", 3.5, 2.86)
     (bars,) = (x for x in figure.axes[0].containers if hasattr(x, "has_xerr"))
     drawn = bars[2][0].get_segments()[0]
     assert drawn == pytest.approx(np.array([[rows[0][f"peak_{x}"], 1] for x in ("low", "high")]))
-    assert rows[1]["run"] == "EIPO from 0.01" and np.isnan(rows[1]["paper"])
+    assert cells(rows, "run", "peak")[1] == ("EIPO from 0.01", 1) and np.isnan(rows[1]["paper"])
     printed = {"EIPO": 2.86, "PPO(0)": 2.12, "PPO(0.0001)": 1.55, "PPO(0.0002)": 1.49}
     printed |= {"PPO(0.0005)": 1.58, "PPO(0.001)": 1.64, "PPO(0.002)": 1.58, "PPO(0.005)": 1.62}
     assert printed | {"PPO(0.01)": 1.45, "PPO(0.02)": 1.37} == figures.TABLE1
 
 
 def test_fig5_draws_each_number_at_its_command():
-    """Performance 1000 v_x + yaw: rows of the panel are 0.5 m/s apart, so 500, and columns 1."""
+    """Performance 1000 v_x + yaw: rows of the panel are 0.5 m/s apart, so 500, and columns 1. They
+    go from -1 m/s and -5 rad/s to 4 m/s and 5 rad/s.
+    """
     v_x, _, yaw = tables.GRID.T
     columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=1000 * v_x + yaw)
     _, figure = figures.fig5([made(task="curriculum", **columns)])
     mesh = figure.axes[0].collections[0]
     value, (x, y) = mesh.get_array(), np.moveaxis(mesh.get_coordinates(), -1, 0)
-    assert value.shape == (11, 11)
+    assert value.shape == (11, 11) and (value[0, 0], value[-1, -1]) == (-1005, 4005)
     for axis, (step, width, at) in enumerate(((500, 0.5, y), (1, 1, x))):
         assert np.allclose(np.diff(value, axis=axis), step)
         assert np.allclose(np.diff(at, axis=axis), width)
@@ -152,6 +168,8 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
     found = [(row["run"], row["v_x"]) for row in rows if row["time"] == 0.51]
     assert found == [("s0", 2), ("s1", 4), ("mean", 3)]
     assert figure.legends[0].get_texts()[0].get_text() == "EIPO, n = 2"
+    paper = {text.get_text(): text.get_position()[1] for text in figure.axes[0].texts}
+    assert paper == {"EIPO, the paper's robot": 2.5, "PPO(0.01), the paper's robot": 1.5}
 
 
 # ---- kinds of runs ----
@@ -300,8 +318,9 @@ def test_a_run_that_is_put_in_comes_out(short):
             e = tables.evaluation(run.episodes, nominal)
             assert e["asked_v_x"].tolist() == np.repeat(np.arange(11) / 10, each // 11).tolist()
             assert 0 < e["performance"].mean() < 1.5
-    # the same policy from the same starts
+    # the same policy from the same starts, of which random ones are not nominal
     assert pi.episodes["v_x"].tolist() == prime.episodes["v_x"].tolist()
+    assert len(np.unique(pi.episodes["v_x"])) > 22
     mean = tables.evaluation(pi.episodes)["performance"].mean()
     assert float(row["performance"]) == pytest.approx(mean, rel=1e-3) and not ppo_run.prime
 
@@ -435,11 +454,17 @@ def test_as_many_episodes_as_the_rules_say(short, monkeypatch, task, n):
 
 
 def test_velocity_keeps_speeds_over_time(short):
-    """16 steps of 0.02 s are one period of the clock, in the middle of which 0.16 s have passed."""
+    """16 steps of 0.02 s are one period of the clock, in the middle of which 0.16 s have passed.
+    They are those of pi, beside which there is a pi' that does something else.
+    """
     folder = run_of("velocity-eipo-seed0", "velocity")
+    pi, env_cfg = run_folder.load_policy(folder / "policy.npz")
+    layers = dict(actor=[(0 * w, b + 1) for w, b in pi.actor], estimator=pi.estimator)
+    run_folder.save_policy(folder / "policy_prime.npz", layers, env_cfg)
     assert main(["add", str(folder), "--results", "kept", "--episodes", "3"]) == 0
     (run,) = tables.runs(["kept/velocity"])
     assert run.speed["time"].tolist() == [0.16] and len(run.speed["v_x"]) == 1
+    assert (run.prime["v_x"] != run.episodes["v_x"]).all()
     assert run.speed["v_x"][0] == pytest.approx(
         tables.evaluation(run.episodes)["v_x"].mean(), abs=1e-3
     )
