@@ -163,6 +163,8 @@ class Go1Env:
         self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
+            # a command that came late to its stretch of steps is no success, however it is followed
+            self.state.kernels[self.state.age % self.env_cfg.command_steps > 0] = -np.inf
             self._observe_first(np.arange(self.num_envs))  # again, because the clock shows the age
         return self.observe()[0], {}
 
@@ -329,7 +331,12 @@ class Go1Env:
     def _next_command(self, ids):
         """New commands for the robots `ids`, and a record of how they followed the old ones."""
         state = self.state
-        followed = state.kernels[ids] / self.env_cfg.command_steps  # 0 for the rest after a fall
+        # over the steps that were planned from this command to the next one, or to the end of the
+        # episode: after a fall the rest counts as 0
+        every = self.env_cfg.command_steps
+        begun = (np.maximum(state.age[ids], 1) - 1) // every * every
+        planned = np.minimum(every, self.env_cfg.episode_steps - begun)
+        followed = state.kernels[ids] / planned[:, None]
         self.commands.record(state.command[ids], followed)
         state.command[ids] = self.commands.draw(self.rng, ids)
         state.kernels[ids] = 0.0
@@ -343,9 +350,9 @@ class Go1Env:
         self._randomize(ids)
         state.targets[:, ids] = go1.Q_NOMINAL
         state.action[ids] = 0.0
-        state.age[ids] = 0
         state.off_ground[ids] = 1
         self._next_command(ids)
+        state.age[ids] = 0
         self._observe_first(ids)
 
     def _observe_first(self, ids):

@@ -72,10 +72,13 @@ class Policy:
         frame = np.concatenate([gravity, command, pose, qd, self.action, clock])
         seen = (frame * self.frame_scale).astype(np.float32)
         history = self.config["history"]
+        if not np.isfinite(seen).all():  # a sensor failed: what was seen last is shown once more
+            seen = self.frames[-1] if self.frames else np.zeros_like(seen)
         self.frames = [*self.frames[1:], seen] if self.frames else [seen] * history
         self.steps += 1
         limit = self.config["action_limit"]
-        self.action = self.mean(np.concatenate(self.frames)).clip(-limit, limit)
+        action = self.mean(np.concatenate(self.frames)).clip(-limit, limit)
+        self.action = np.where(np.isfinite(action).all(), action, 0.0)  # as in the simulator
         return self.q_nominal + self.action_scale * self.action
 
     def mean(self, obs):

@@ -25,7 +25,7 @@ import mirror
 import networks
 import tasks
 from runtime import checkpoint, jax_setup, metrics, run_folder
-from runtime.cli import Refused, StopRequest, program
+from runtime.cli import Refused, StopRequest, program, say, warn
 from runtime.flags import Options, check, parse, settle
 
 
@@ -37,17 +37,19 @@ def run_path(options, env_cfg, cfg):
 
 
 def resumed_settings(folder, given):
-    """Both Configs of the run in folder, with more iterations if given, and its threads of JAX.
+    """Both Configs of the run in folder, with more iterations if given, and what JAX began with:
+    its threads, and its `jax_setup.numerics`.
 
     given: the fields of both Configs that the command line sets, which must be the run's
     """
-    env_cfg, cfg, jax_threads = checkpoint.load_settings(folder / "checkpoint.npz")
+    env_cfg, cfg, jax_threads, began = checkpoint.load_settings(folder / "checkpoint.npz")
     settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
             what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
             raise Refused(f"{what}: --resume can only raise iterations")
-    return env_cfg, replace(cfg, iterations=given.get("iterations", cfg.iterations)), jax_threads
+    cfg = replace(cfg, iterations=given.get("iterations", cfg.iterations))
+    return env_cfg, cfg, jax_threads, began
 
 
 def make_envs(env_cfg, cfg, threads):
@@ -61,17 +63,50 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(num_envs, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def save(folder, state, envs, cfg):
-    """Write checkpoint, policies and pictures into the run folder."""
-    checkpoint.save(folder / "checkpoint.npz", state, envs, cfg)
-    for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
-        if learner:
-            about = dict(iteration=state.iteration, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
-            run_folder.save_policy(folder / f"{name}.npz", learner.params, envs[0].env_cfg, about)
-    try:
-        metrics.draw_curves(folder)
-    except Exception as error:  # a picture is not worth a run
-        print(f"train.py: no picture of {folder}: {error!r}", file=sys.stderr, flush=True)
+class Keeper:
+    """Keeps the last complete iteration of a run until it is written.
+
+    A file that cannot be written now, since the disk is full or another program has it open, is
+    written with the next one.
+    """
+
+    def __init__(self, folder, envs, cfg, log):
+        self.folder, self.envs, self.cfg, self.log = folder, envs, cfg, log
+        self.newest = None  # (State, arrays of its checkpoint), if it is not written yet
+        self.failed = None  # what could not be written at the last try, as an error
+
+    def keep(self, state):
+        """Take an iteration's State. The environments may go on: theirs is copied."""
+        self.newest = state, checkpoint.pack(state, self.envs, self.cfg)
+
+    def save(self):
+        """Write log, checkpoint, policies and pictures into the run folder."""
+        self.log.write()
+        if self.newest is None:
+            return
+        state, arrays = self.newest
+        checkpoint.save(self.folder / "checkpoint.npz", arrays)
+        cfg, env_cfg = self.cfg, self.envs[0].env_cfg
+        about = dict(iteration=state.iteration, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
+        for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
+            if learner:
+                path = self.folder / f"{name}.npz"
+                run_folder.save_policy(path, learner.params, env_cfg, about)
+        self.newest = None
+        try:
+            metrics.draw_curves(self.folder)
+        except Exception as error:  # a picture is not worth a run
+            warn(f"no picture of {self.folder}: {error!r}")
+
+    def attempt(self, write):
+        """Call write(). If a file cannot be written, say so once, and try again another time."""
+        try:
+            write()
+            self.failed = None
+        except OSError as error:
+            if self.failed is None:
+                warn(f"{error}. It trains on, and tries again after each iteration")
+            self.failed = error
 
 
 def train(folder, envs, cfg, options, typed):
@@ -82,36 +117,48 @@ def train(folder, envs, cfg, options, typed):
     if options.resume:
         start = checkpoint.load(folder / "checkpoint.npz", start, envs)
     log = metrics.Log(folder, start.iteration, cfg.iterations)
+    keeper = Keeper(folder, envs, cfg, log)
     what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
-    print(f"{folder}: {what}. Compiling (once, ~15 s) ...", flush=True)
+    say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     stop = None
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
-    for state, row in algorithm(*envs, cfg, start):
-        if stop is None:  # the first iteration is done: from now on there is something to keep
-            stop = StopRequest()
-            run_folder.save_config(folder, env_cfg, cfg, typed, jax_setup.device(), options.resume)
-        stopped = stop.requested
-        steps = state.iteration * cfg.num_steps * cfg.num_envs
-        log.add(state.iteration, dict(steps=steps) | {name: float(x) for name, x in row.items()})
-        is_due = state.iteration % options.checkpoint_every == 0
-        if is_due or stopped or state.iteration == cfg.iterations:
-            save(folder, state, envs, cfg)
-        if stopped:
-            return state.iteration
+    try:
+        for state, row in algorithm(*envs, cfg, start):
+            if stop is None:  # the first iteration is done: from now on there is something to keep
+                stop = StopRequest()
+                numerics = jax_setup.numerics()
+                run_folder.save_config(folder, env_cfg, cfg, typed, numerics, options.resume)
+            steps = state.iteration * cfg.num_steps * cfg.num_envs
+            log.add(
+                state.iteration, dict(steps=steps) | {name: float(x) for name, x in row.items()}
+            )
+            keeper.keep(state)
+            if stop.requested:
+                say("\nStopping after this iteration. Ctrl-C again stops at once")
+                return state.iteration
+            is_due = keeper.failed or state.iteration % options.checkpoint_every == 0
+            keeper.attempt(keeper.save if is_due else log.write)
+    finally:  # whatever ends it, what was learned is kept
+        keeper.save()
 
 
 def prepare(options, given_env, given_learner):
     """The run folder and both Configs of a run that may start, or go on; JAX is set up for it."""
     env_cfg, cfg = settle(given_env, given_learner)
-    folder, jax_threads = run_path(options, env_cfg, cfg), None
+    folder, jax_threads, began = run_path(options, env_cfg, cfg), None, None
     if options.resume:
-        env_cfg, cfg, jax_threads = resumed_settings(folder, given_env | given_learner)
+        given = given_env | given_learner
+        env_cfg, cfg, jax_threads, began = resumed_settings(folder, given)
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
     check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
-    jax_setup.device()  # refuses before anything is written
+    numerics = jax_setup.numerics()  # refuses before anything is written if there is no device
+    if other := [
+        f"{x} {began[x]} and not {now}" for x, now in numerics.items() if began and began[x] != now
+    ]:
+        warn(f"{folder} began with {', '.join(other)}: last digits will differ")
     return folder, env_cfg, cfg
 
 
@@ -128,10 +175,10 @@ def main(argv):
         stopped = train(folder, envs, cfg, options, typed)
     if stopped:
         again = shlex.join([*typed, *([] if options.resume else ["--resume"])])
-        print(f"\nStopped after iteration {stopped}. Continue with: {again}")
+        say(f"\nStopped after iteration {stopped}. Continue with: {again}")
     else:
         look = shlex.join(["python", "play.py", str(folder)])
-        print(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
+        say(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
     return 130 if stopped else 0
 
 

@@ -330,7 +330,7 @@ def run_row(folder, done):
         cfg["iterations"] = done
         row = dict(seed=cfg["seed"], iterations=done)
         row |= dict(steps=done * cfg["num_steps"] * cfg["num_envs"])
-        row |= first | dict(versions=json.dumps(first["versions"]))
+        row |= {name: x if isinstance(x, str | int) else json.dumps(x) for name, x in first.items()}
         row |= dict(resumed=json.dumps(resumed) if resumed else "")
         for part in ("env", "learner"):
             row |= {f"{part}.{name}": json.dumps(x) for name, x in config[part].items()}

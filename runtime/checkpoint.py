@@ -11,11 +11,16 @@ import numpy as np
 import eipo
 import tasks
 from runtime import jax_setup, run_folder
+from runtime.cli import Refused
 
 
 def saved(env):
-    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
-    return vars(env.state) | dict(rng=np.array(json.dumps(env.rng.bit_generator.state)))
+    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name.
+
+    Arrays are copies, so that the environment may go on before they are written.
+    """
+    rng = np.array(json.dumps(env.rng.bit_generator.state))
+    return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
 
 
 def restore_env(env, arrays):
@@ -26,25 +31,31 @@ def restore_env(env, arrays):
     env.rng.bit_generator.state = json.loads(str(arrays["rng"]))
 
 
-def save(path, state, envs, cfg):
-    """Write the State, the environments and the settings."""
+def pack(state, envs, cfg):
+    """The arrays of a checkpoint by name: the State, the environments and the settings."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
-    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS))
-    arrays["settings"] = np.array(json.dumps(settings))
+    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
+    return arrays | dict(settings=np.array(json.dumps(settings)))
+
+
+def save(path, arrays):
+    """Write what `pack` returned."""
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, and the threads that JAX had."""
+    """Both Configs of a checkpoint, the threads that JAX had, and its `jax_setup.numerics`."""
     arrays = run_folder.read_npz(path)
+    if any(name.startswith("process0.") for name in arrays):
+        raise Refused(f"{path} is of an older version: commit 31a2f37 of this project continues it")
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(kept["env"]), tasks.tuples(kept["learner"])
-        return env_cfg, eipo.Config(**cfg), kept["jax_threads"]
+        return env_cfg, eipo.Config(**cfg), kept["jax_threads"], kept["jax"]
 
 
 def load(path, template, envs):

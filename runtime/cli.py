@@ -2,8 +2,10 @@
 
 import argparse
 import functools
+import os
 import signal
 import sys
+import threading
 from operator import ge, gt, le, lt
 
 COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan never is
@@ -26,6 +28,24 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message):
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
+
+
+def say(line, stream=None, end="\n"):
+    """Print a line, or nothing from now on where nobody listens any more.
+
+    A pipe or a terminal that was closed ends no run. stream: None is standard output.
+    """
+    stream = stream or sys.stdout
+    try:
+        print(line, file=stream, end=end, flush=True)
+    except OSError:
+        # what is left in its buffer would fail again when Python ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def warn(line):
+    """Say a line of `train.py` on standard error."""
+    say(f"train.py: {line}", sys.stderr)
 
 
 def misfit(values, limits):
@@ -59,6 +79,9 @@ def program(name):
     def wrap(main):
         @functools.wraps(main)
         def guarded(argv):
+            for stream in (sys.stdout, sys.stderr):
+                if hasattr(stream, "reconfigure"):  # a console may not know a path's letters
+                    stream.reconfigure(errors="backslashreplace")
             try:
                 return main(argv)
             except KeyboardInterrupt:
@@ -66,7 +89,7 @@ def program(name):
             except Exception as error:
                 if (line := complaint(error)) is None:
                     raise
-                print(f"{name}: {line}", file=sys.stderr, flush=True)
+                say(f"{name}: {line}", sys.stderr)
                 return 2
 
         return guarded
@@ -78,16 +101,18 @@ class StopRequest:
     """From now on the first signal makes `requested` True, and the second one ends the process.
 
     Made after the first iteration: before that nothing is worth saving, and JAX compiles in C++,
-    where a handler in Python would have to wait.
+    where a handler in Python would have to wait. In a thread, as of a notebook, nothing is heard.
     """
 
     def __init__(self):
         self.requested = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            if signal.getsignal(number) != signal.SIG_IGN:  # a script's `&` lets it ignore SIGINT
-                signal.signal(number, self.hear)
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)):
+                # a script's `&` lets it ignore SIGINT, and nohup SIGHUP
+                if number and signal.getsignal(number) != signal.SIG_IGN:
+                    signal.signal(number, self.hear)
 
     def hear(self, number, _):
         self.requested = True
-        signal.signal(number, signal.SIG_DFL)
-        print("\nStopping after this iteration. Ctrl-C again stops at once", flush=True)
+        if number in (signal.SIGINT, signal.SIGTERM):  # one closed terminal may send SIGHUP twice
+            signal.signal(number, signal.SIG_DFL)

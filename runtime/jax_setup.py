@@ -38,6 +38,14 @@ def set_threads(began_with):
     os.environ.setdefault(THREADS, began_with or str(CORES))
 
 
+def numerics():
+    """What, beside threads, the last digits of a run depend on: {name: text}."""
+    names = "jax_enable_x64", "jax_default_matmul_precision"
+    settings = {name: str(getattr(jax.config, name)) for name in names}
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    return settings | dict(device=device(), jax=version("jax"), xla_flags=flags)
+
+
 def device():
     """The name of what JAX computes on: "cpu", or that of a GPU. It refuses if there is none."""
     try:

@@ -3,11 +3,12 @@
 import os
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 
 from runtime import run_folder
-from runtime.cli import Refused
+from runtime.cli import Refused, say, warn
 
 EVERY = 30  # s from one line to the next where the output is no terminal
 
@@ -21,37 +22,66 @@ class Log:
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
         self.first, self.shown_at = None, -EVERY
+        self.begun, self.unwritten = False, ""  # rows that wait for the file
 
     def begin(self, header):
-        """Keep the rows up to the checkpoint. What was written after it will be computed again."""
-        lines = self.path.read_bytes().splitlines(True) if self.done and self.path.exists() else []
-        lines = lines[: self.done + 1] or [header]
-        if lines[0] != header:
+        """Keep the rows up to the checkpoint. What was written after it will be computed again.
+
+        A copy of a folder in which something trained may lack rows, or have half a row at its end.
+        """
+        text = self.path.read_bytes() if self.done and self.path.exists() else b""
+        first, *lines = text[: text.rfind(b"\n") + 1].split() or [header]
+        if first != header:
             raise Refused(f"{self.path} has other columns than this code: move it away")
-        run_folder.replace_file(self.path, lambda file: file.writelines(lines))
+        with run_folder.reading(self.path):
+            rows = {int(line.split(b",")[0]): line for line in lines}
+        rows = [rows[i] for i in range(1, self.done + 1) if i in rows]
+        if len(rows) < self.done:
+            warn(
+                f"{self.path} lacks {self.done - len(rows)} rows of {self.done}: it goes on without"
+            )
+        data = b"".join(line + b"\n" for line in [header, *rows])
+        run_folder.replace_file(self.path, lambda file: file.write(data))
 
     def add(self, iteration, metrics):
-        """Write one row and show it. Its time counts from the last start or resumption."""
+        """Take one row, show it, and write it if that can be done now. The clock starts anew with
+        every process.
+        """
         seconds = time.monotonic() - self.start
         rate = metrics["steps"] / iteration * (iteration - self.done) / seconds
         clock = dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
         row = dict(iteration=iteration) | metrics | clock
-        if self.first is None:
-            self.begin(",".join(row).encode() + b"\n")
-        with open(self.path, "a", newline="") as file:
-            file.write(",".join(map(str, row.values())) + "\n")
-            file.flush()
-            os.fsync(file.fileno())  # it is on the disk before a checkpoint may follow
+        self.header = ",".join(row).encode()
+        self.unwritten += ",".join(map(str, row.values())) + "\n"
         self.show(row)
+
+    def write(self):
+        """Write the rows that are not written yet."""
+        if not self.unwritten:
+            return
+        if not self.begun:
+            self.begin(self.header)
+            self.begun = True
+        size = self.path.stat().st_size
+        try:
+            with open(self.path, "ab") as file:
+                file.write(self.unwritten.encode())
+                file.flush()
+                os.fsync(file.fileno())  # they are on the disk before a checkpoint may follow
+        except OSError:
+            with suppress(OSError):  # half a row shall not stay
+                os.truncate(self.path, size)
+            raise
+        self.unwritten = ""
 
     def show(self, row):
         """Print a row: on a terminal each one, elsewhere the first, the last, one every 30 s."""
         self.first = self.first or row
         line = console_line(row, self.first, self.iterations)
-        if sys.stdout.isatty():
-            print(f"\r{line}\x1b[K", end="", flush=True)
+        if sys.stdout and sys.stdout.isatty():
+            say(f"\r{line}\x1b[K", end="")
         elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + EVERY:
-            print(line, flush=True)
+            say(line)
             self.shown_at = row["time_s"]
 
 

@@ -29,7 +29,7 @@ import go1
 import go1_env
 import policy
 import tasks
-from runtime.cli import Refused
+from runtime.cli import Refused, warn
 
 try:
     import fcntl
@@ -80,6 +80,8 @@ def lock(folder):
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise Refused(f"{folder} is being trained by another process: stop it") from None
+        except OSError as error:  # a file system of a network may have no locks
+            warn(f"{folder} cannot be locked ({error}): see to it that nothing else trains there")
         yield
 
 
@@ -87,12 +89,23 @@ def lock(folder):
 
 
 def commit():
-    """The commit of this source, with a + if it was changed since; "unknown" outside of git."""
-    describe = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    options = dict(cwd=Path(__file__).parent, capture_output=True, text=True)
+    """The commit of this source, with a + if any of it was changed or added since.
+
+    It is "unknown" unless git tracks this very file: the source may be a copy that lies in another
+    repository. Settings of git in somebody's shell, such as GIT_DIR, are of something else.
+    """
+    here = Path(__file__)
+    env = {name: x for name, x in os.environ.items() if not name.startswith("GIT_")}
+
+    def git(*words):
+        options = dict(cwd=here.parent, env=env, check=True, capture_output=True, text=True)
+        return subprocess.run(["git", *words], **options).stdout.strip()
+
     try:
-        return subprocess.run(describe, check=True, **options).stdout.strip()
-    except (FileNotFoundError, subprocess.CalledProcessError):  # there is no git, or no commit
+        git("ls-files", "--error-unmatch", here.name)
+        changes = git("status", "--porcelain", "--untracked-files=all", ":/*.py", ":/*.xml")
+        return git("rev-parse", "HEAD") + "+" * bool(changes)
+    except (OSError, subprocess.CalledProcessError):  # no git, no commit, or an owner it distrusts
         return "unknown"
 
 
@@ -103,10 +116,10 @@ def cpu_model():
     return names[0] if names else platform.processor()
 
 
-def save_config(folder, env_cfg, cfg, typed, device, resume=False):
+def save_config(folder, env_cfg, cfg, typed, numerics, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
-    typed: words of the command line; device: of `jax_setup`; resume: keep earlier starts' entries
+    typed: words of the command line; numerics: of `jax_setup`; resume: keep earlier starts' entries
     """
     path = folder / "config.json"
     with reading(path):
@@ -114,7 +127,7 @@ def save_config(folder, env_cfg, cfg, typed, device, resume=False):
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)
-    about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=device)
+    about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=numerics["device"], jax=numerics)
     config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
     text = json.dumps(config, indent=1) + "\n"
     replace_file(path, lambda file: file.write(text.encode()))

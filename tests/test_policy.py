@@ -49,6 +49,25 @@ def test_act_is_mean_of_what_a_robot_measures(path):
     assert pi.act(gravity, asked[0], NOMINAL, NOMINAL) == pytest.approx(NOMINAL - 10 * SCALE)
 
 
+def test_a_sensor_that_fails_is_forgotten(tmp_path):
+    """A NaN, or what makes the action infinite, is answered by the last good measurement, and the
+    next good one finds everything finite. At the start there is none: the target is some pose.
+    """
+    pi, _ = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
+    good = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)
+    bad = *good[:3], np.full(12, np.nan)
+    first, target = pi.act(*good), pi.act(*bad)
+    assert np.isfinite(target).all() and np.isfinite(pi.action).all()
+    assert np.array_equal(pi.frames[-1], pi.frames[-2])
+    assert np.isfinite(pi.act(*good)).all() and np.isfinite(np.concatenate(pi.frames)).all()
+    pi.start()
+    assert np.isfinite(pi.act(*bad)).all() and not pi.frames[0].any()
+    pi.start()
+    assert np.array_equal(pi.act(*good), first)
+    pi.mean = lambda obs: np.full(12, np.nan)
+    assert np.array_equal(pi.act(*good), NOMINAL) and not pi.action.any()
+
+
 def test_a_policy_says_what_it_is_of(tmp_path):
     """In its JSON beside the settings of its world. Files of older runs do not, and are read."""
     path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)

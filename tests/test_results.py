@@ -459,8 +459,9 @@ def test_velocity_keeps_speeds_over_time(short):
     """
     folder = run_of("velocity-eipo-seed0", "velocity")
     pi, env_cfg = run_folder.load_policy(folder / "policy.npz")
-    layers = dict(actor=[(0 * w, b + 1) for w, b in pi.actor], estimator=pi.estimator)
-    run_folder.save_policy(folder / "policy_prime.npz", layers, env_cfg)
+    actor = MLP([(0 * w, b + 1) for w, b in pi.actor])
+    params = dict(actor=actor, estimator=MLP(pi.estimator))
+    run_folder.save_policy(folder / "policy_prime.npz", params, env_cfg)
     assert main(["add", str(folder), "--results", "kept", "--episodes", "3"]) == 0
     (run,) = tables.runs(["kept/velocity"])
     assert run.speed["time"].tolist() == [0.16] and len(run.speed["v_x"]) == 1

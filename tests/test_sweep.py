@@ -1,4 +1,4 @@
-"""A sweep: one script trains the lines of a table, two at a time, and goes on where it was ended."""
+"""A sweep: one script trains the lines of a table, two at a time, and goes on where it ended."""
 
 import os
 import shutil

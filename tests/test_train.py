@@ -1,5 +1,6 @@
 """The command line and the run folder: whatever stops a run, its numbers come out the same."""
 
+import errno
 import json
 import os
 import resource
@@ -7,6 +8,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
@@ -17,10 +19,10 @@ from support import ROOT, SECONDS, TINY, error_of, started
 import rewards
 import tasks
 import train
-from runtime import metrics, run_folder
+from runtime import jax_setup, metrics, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
-SIGNALS = signal.SIGINT, signal.SIGTERM
+SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 @pytest.fixture(autouse=True)
@@ -199,6 +201,39 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
     assert rows(tmp_path) == rows(finished)
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=["tee", "terminal"])
+def test_a_console_that_goes_away_costs_nothing(finished, tmp_path, number):
+    """Ctrl-C ends `tee` as well, and a terminal that is closed takes both streams with it, and may
+    send SIGHUP twice. What was learned is saved.
+    """
+    with half_done(tmp_path) as process:
+        process.stdout.close()
+        process.stderr.close()
+        process.send_signal(number)
+        if number == signal.SIGHUP:
+            time.sleep(0.01)
+            process.send_signal(number)
+        assert process.wait() == 130
+    assert 5 <= len(rows(tmp_path)) - 1 < 20
+    resume(tmp_path)
+    assert rows(tmp_path) == rows(finished)
+
+
+def test_head_ends_no_run(finished, tmp_path):
+    """`train.py | head -1` trains to its end, and complains of nothing."""
+    with half_done(tmp_path) as process:
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 0)
+    assert rows(tmp_path) == rows(finished)
+
+
+def test_a_console_that_cannot_show_a_path(tmp_path):
+    command = [sys.executable, ROOT / "train.py", *FLAGS, "--iterations", "1", "--out", "训练"]
+    options = dict(env=os.environ | dict(PYTHONIOENCODING="cp1252"), timeout=SECONDS)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, **options)
+    assert (done.returncode, done.stderr) == (0, "") and r"\u8bad\u7ec3" in done.stdout
+
+
 def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
     """There is nothing to save. No other test has layers of six, so JAX has to compile."""
     command = [sys.executable, ROOT / "train.py", *FLAGS, "--hidden", "6", "--out", tmp_path]
@@ -209,7 +244,7 @@ def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
     assert "checkpoint.npz" not in contents(tmp_path)
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", SIGNALS[:2])
 def test_the_second_signal_ends_a_run_and_an_ignored_one_stays_ignored(number):
     code = f"""
 import os, signal
@@ -230,7 +265,108 @@ print("still here")
     assert done.returncode == -number and done.stdout.split()[-1] == "True"
 
 
+def test_a_thread_trains(tmp_path):
+    """As in a notebook: there are no signals to hear."""
+    thread = threading.Thread(target=run, args=("--out", tmp_path / "run"))
+    thread.start()
+    thread.join()
+    assert len(rows(tmp_path / "run")) == 3
+
+
 # ---- what stands in the way ----
+
+
+@pytest.mark.parametrize("call", ["replace", "fsync"])
+def test_a_file_that_is_in_use_costs_no_iteration(finished, tmp_path, capsys, monkeypatch, call):
+    """Another program has it open, from the fourth iteration on, for three calls to the system."""
+    real, left = getattr(os, call), [None] * 3
+
+    def busy(*args):
+        if left and (tmp_path / "metrics.csv").exists() and len(rows(tmp_path)) > 4:
+            left.pop()
+            raise PermissionError(13, "in use")
+        return real(*args)
+
+    monkeypatch.setattr(os, call, busy)
+    run("--iterations", 20, "--out", tmp_path)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("train.py: ") and "in use" in line and "tries again" in line
+    assert not left and rows(tmp_path) == rows(finished)
+    for name in ("checkpoint.npz", "policy.npz"):
+        ours, theirs = (run_folder.read_npz(x / name) for x in (tmp_path, finished))
+        assert all(x.tobytes() == theirs[key].tobytes() for key, x in ours.items())
+
+
+def test_whatever_ends_a_run_what_it_has_learned_is_saved(finished, tmp_path, monkeypatch):
+    """A reward of one's own fails in the seventh iteration. Once mended, the bits are the same."""
+    real, calls = rewards.flat, []
+
+    def mine(velocity, command):
+        calls.append(None)
+        if len(calls) == 2 * 4 * 6 + 3:  # two policies, four steps, six iterations, and three steps
+            raise ZeroDivisionError
+        return real(velocity, command)
+
+    monkeypatch.setitem(tasks.TASKS, "flat", tasks.TASKS["flat"]._replace(reward=mine))
+    with pytest.raises(ZeroDivisionError):
+        run("--iterations", 20, "--checkpoint-every", 100, "--out", tmp_path)
+    assert [row[0] for row in rows(tmp_path)[1:]] == ["1", "2", "3", "4", "5", "6"]
+    assert run_folder.load_policy(tmp_path / "policy.npz")[0].about["iteration"] == 6
+    resume(tmp_path)
+    assert rows(tmp_path) == rows(finished)
+
+
+def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(run_folder.fcntl, "flock", no_locks)
+    run("--out", tmp_path / "run")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be locked" in line and len(rows(tmp_path / "run")) == 3
+
+
+def test_what_jax_computes_with_is_kept_and_compared(copied, capsys, monkeypatch):
+    began = jax_setup.numerics()
+    record = json.loads((copied / "config.json").read_text())
+    assert record["starts"][0]["jax"] == began and began["jax_enable_x64"] == "False"
+    monkeypatch.setattr(jax_setup, "numerics", lambda: began | dict(jax_enable_x64="True"))
+    resume(copied, "--iterations", 21)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "jax_enable_x64 False and not True" in line and "last digits" in line
+
+
+def test_a_checkpoint_of_an_older_version_says_so(copied, capsys):
+    arrays = run_folder.read_npz(copied / "checkpoint.npz")
+    old = {name.replace("env", "process0.env"): x for name, x in arrays.items()}
+    np.savez(copied / "checkpoint.npz", **old)
+    again = "--out", copied, "--resume", "--iterations", 21
+    assert "31a2f37" in error_of(capsys, train.main, *again)
+
+
+# a log that somebody edited, lost, or copied while it grew, and the rows that it has in the end
+LOGS = {
+    "lost": (lambda lines: b"", range(21, 22)),
+    "too few": (lambda lines: b"\n".join(lines[:11]) + b"\n", [*range(1, 11), 21]),
+    "torn": (lambda lines: b"\n".join(lines[:11]) + b"\n" + lines[11][:9], [*range(1, 11), 21]),
+    "twice": (lambda lines: b"\n".join(lines[:16] + lines[11:]) + b"\n", range(1, 22)),
+    "newer": (lambda lines: b"\n".join([*lines, b"21" + lines[-1][2:]]) + b"\n", range(1, 22)),
+    "Excel": (lambda lines: b"\r\n".join(lines) + b"\r\n", range(1, 22)),
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_is_kept_by_iteration(copied, capsys, name):
+    """The checkpoint is of iteration 20. Rows that are missing are told of in a line."""
+    change, left = LOGS[name]
+    log = copied / "metrics.csv"
+    log.write_bytes(change(log.read_bytes().splitlines()))
+    resume(copied, "--iterations", 21)
+    said = capsys.readouterr().err.splitlines()
+    missing = 21 - len(left)
+    assert [f"lacks {missing} rows of 20" in line for line in said] == [True] * (missing > 0)
+    assert metrics.read(copied)["iteration"].tolist() == list(left)
+    assert (copied / "metrics.csv").read_bytes().count(b"\r") == 0
 
 
 @pytest.mark.parametrize(
@@ -313,8 +449,29 @@ def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
     for command in ("init -q", "add .", "commit -q -m x"):
         subprocess.run(["git", *user, *command.split()], cwd=tmp_path, check=True)
     assert len(run_folder.commit()) == 40
+    clean = run_folder.commit()
+    (tmp_path / "table").write_text("of runs")  # no source
+    assert run_folder.commit() == clean
+    monkeypatch.setenv("GIT_DIR", str(ROOT / "nowhere"))  # somebody's shell, of something else
+    assert run_folder.commit() == clean
+    (tmp_path / "new.py").touch()
+    assert run_folder.commit() == clean + "+"
+    (tmp_path / "new.py").unlink()
     (tmp_path / "run_folder.py").write_text("pass")
-    assert len(run_folder.commit()) == 41 and run_folder.commit()[-1] == "+"
+    assert run_folder.commit() == clean + "+"
+    # a copy that lies in this repository, and is not tracked by it
+    (tmp_path / "copy").mkdir()
+    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "copy" / "run_folder.py"))
+    assert run_folder.commit() == "unknown"
+
+
+@pytest.mark.parametrize("error", [PermissionError, FileNotFoundError])
+def test_a_git_that_cannot_be_run_is_no_error(monkeypatch, error):
+    def refuse(*_, **__):
+        raise error
+
+    monkeypatch.setattr(subprocess, "run", refuse)
+    assert run_folder.commit() == "unknown"
 
 
 @pytest.mark.parametrize(

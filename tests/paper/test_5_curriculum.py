@@ -85,6 +85,54 @@ def test_success_is_in_the_frame_that_is_rewarded(frame, kernel):
     assert seen == [pytest.approx([kernel, kernel], abs=1e-4)]
 
 
+@pytest.mark.parametrize(
+    ("steps", "every", "heard"),
+    [(4, 6, [4]), (6, 4, [4, 6]), (8, 4, [4, 8])],
+)
+def test_success_counts_the_time_that_there_was(steps, every, heard):
+    """A robot that does what is asked has kernels of 1 in each step. Episodes of `steps` steps, a
+    command every `every` of them: the mean is over the steps that a command was to last, 4 of 6, or
+    the last 2 of 6. Where a command and an episode end together nothing is left to count.
+    """
+    env = quiet(1, episode_steps=steps, command_steps=every)
+    env.commands.record = lambda _, kernels: seen.extend(kernels)
+    for step in range(1, steps + 1):
+        seen = []
+        env.state.command[:] = 0.0
+        still(env)
+        expected = [pytest.approx([1.0, 1.0])] * (step in heard)
+        assert [x for x in seen if x.any()] == expected
+
+
+def test_success_after_a_fall_counts_what_was_planned():
+    """Three perfect steps of four, in the last of which the trunk touches the ground: 3/4."""
+    env, seen = quiet(1, episode_steps=8, command_steps=4), []
+    env.state.command[:] = 0.0
+    still(env, 2)
+    env.commands.record = lambda _, kernels: seen.extend(kernels)
+    env.contacts = np.ones((1, 17))
+    assert still(env)[2].all()
+    assert seen == [pytest.approx([0.75, 0.75])]
+
+
+def test_a_command_that_the_first_age_cut_short_does_not_count():
+    """With random first ages the first command is a success only where its stretch is whole. From
+    the second one on all count.
+    """
+    env, seen = quiet(64, episode_steps=8, command_steps=4, stagger=True), []
+    env.reset(0)
+    whole = env.state.age % 4 == 0
+    assert 0 < whole.sum() < 64
+    env.commands.record = lambda command, kernels: seen.append(kernels)
+    for _ in range(8):
+        place(env)
+        env.state.command[:] = 0.0
+        still(env)
+    successes = (np.vstack(seen) == 1).all(1).sum()
+    # in eight steps each robot's second command ends once, and the first one of `whole`, too
+    assert successes == 64 + whole.sum()
+
+
 def test_commands_come_from_their_cells():
     """The cell (6, 30) has v_x in [2, 2.5] and yaw rate in [5, 5.5]. v_y is in all of [-0.6, 0.6].
 
