@@ -72,21 +72,21 @@ class Keeper:
 
     def __init__(self, folder, envs, cfg, log):
         self.folder, self.envs, self.cfg, self.log = folder, envs, cfg, log
-        self.newest = None  # (State, arrays of its checkpoint), if it is not written yet
+        self.newest = None  # (State, what a checkpoint stores of each env), if not written yet
         self.failed = None  # what could not be written at the last try, as an error
 
     def keep(self, state):
         """Take an iteration's State. The environments may go on: theirs is copied."""
-        self.newest = state, checkpoint.pack(state, self.envs, self.cfg)
+        self.newest = state, [checkpoint.saved(env) for env in self.envs]
 
     def save(self):
         """Write log, checkpoint, policies and pictures into the run folder."""
         self.log.write()
         if self.newest is None:
             return
-        state, arrays = self.newest
-        checkpoint.save(self.folder / "checkpoint.npz", arrays)
+        state, envs = self.newest
         cfg, env_cfg = self.cfg, self.envs[0].env_cfg
+        checkpoint.save(self.folder / "checkpoint.npz", state, envs, env_cfg, cfg)
         about = dict(iteration=state.iteration, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
         for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():
             if learner:

@@ -31,19 +31,15 @@ def restore_env(env, arrays):
     env.rng.bit_generator.state = json.loads(str(arrays["rng"]))
 
 
-def pack(state, envs, cfg):
-    """The arrays of a checkpoint by name: the State, the environments and the settings."""
+def save(path, state, envs, env_cfg, cfg):
+    """Write the State, the environments and the settings; envs: of each what `saved` returned."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
-        arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
-    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg))
+        arrays |= {f"env{i}.{name}": x for name, x in env.items()}
+    settings = dict(env=asdict(env_cfg), learner=asdict(cfg))
     settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
-    return arrays | dict(settings=np.array(json.dumps(settings)))
-
-
-def save(path, arrays):
-    """Write what `pack` returned."""
+    arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 

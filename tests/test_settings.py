@@ -304,7 +304,7 @@ SOUND = """
 
 
 def test_a_run_that_goes_on_is_checked_as_well(capsys, monkeypatch):
-    was = tasks.Config(), eipo.Config(gamma=1.5), None
+    was = tasks.Config(), eipo.Config(gamma=1.5), None, None
     monkeypatch.setattr(train, "resumed_settings", lambda *_: was)
     assert "--gamma is 1.5" in error_of(capsys, train.main, "--resume")
     assert "--threads is 0" in error_of(capsys, train.main, "--resume", "--threads", "0")
