@@ -94,10 +94,13 @@ def test_energy_is_power_over_speed_and_one_seed_says_nothing_of_the_next():
 
 def test_the_lighter_band_is_over_seeds():
     """At the command 0 the seeds of `eight` are at 3.5 and 11.5."""
-    _, figure = figures.fig2([eight(1), eight(0)])
-    _, lighter = figure.axes[0].collections
-    x, y = lighter.get_paths()[0].vertices.T
-    assert lighter.get_alpha() == 0.1 and set(y[x == 0]) == {3.5, 11.5}
+    rows, figure = figures.fig2([eight(1), eight(0)])
+    bands = figure.axes[0].collections
+    edges = [band.get_paths()[0].vertices for band in bands]
+    found = [set(x[x[:, 0] == 0, 1]) for x in edges]
+    over_episodes = {rows[0][f"performance_{end}"] for end in ("low", "high")}
+    assert found == [over_episodes, {3.5, 11.5}] and over_episodes != {3.5, 11.5}
+    assert [band.get_alpha() for band in bands] == [0.2, 0.1]
 
 
 def test_fig4_has_a_panel_for_flat_and_for_rough_ground():
