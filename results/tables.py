@@ -210,6 +210,30 @@ def kind(settings, usual):
     return name + "".join(f", {x} {y}" for x, y in other.items())
 
 
+def usual_of(all_settings):
+    """The settings that need no word in a table of runs with these settings, as `kind` takes them:
+    what most of them have, or the first one where two are as frequent.
+
+    Today's defaults are not asked, so no kept run is renamed when they change. lambda_0 is the
+    paper's, and runs from it with the paper's reward and cost decide on the rest, if there are any.
+    """
+    (task,) = {s["task"] for s in all_settings}
+    usual, paper = {}, dict(lam=LAMBDA_0[task]) if task in LAMBDA_0 else {}
+    plain = [
+        s
+        for s in all_settings
+        if (s["aux"], s["reward"]) == ("energy", "paper")
+        and (s["algo"] == "ppo" or s["lam"] == paper.get("lam", s["lam"]))
+    ]
+    for some in (all_settings, plain):
+        values = {}
+        for s in some:
+            for name, x in unsaid(s).items():
+                values.setdefault(name, []).append(x)
+        usual |= {name: max(each, key=each.count) for name, each in values.items()}
+    return usual | paper
+
+
 def by_group(runs, *of):
     """Runs by group and kind, {"flat, 600 iterations": {"EIPO": [a Run of each seed, ...]}, ...}.
 
@@ -226,15 +250,11 @@ def by_group(runs, *of):
 
 
 def by_kind(runs):
-    """The runs of one group by kind. A name says in which settings a run is unlike the first of
-    them, or, for EIPO, the paper's lambda_0; today's defaults are not asked.
+    """The runs of one group by kind, whose names say in what they are unlike most of the others.
 
     Refused if two of one kind have the same seed: one of them would count twice.
     """
-    task = runs[0].settings["task"]
-    usual = dict(lam=LAMBDA_0[task]) if task in LAMBDA_0 else {}
-    for run in runs:
-        usual = unsaid(run.settings) | usual
+    usual = usual_of([run.settings for run in runs])
     kinds = {}
     for run in runs:
         same = kinds.setdefault(kind(run.settings, usual), {})

@@ -179,8 +179,8 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
 
 
 def test_kinds_of_runs():
-    """EIPO first, then lambda ascends. In what a run is unlike the first one is part of its name.
-    PPO reads no learning rate of alpha.
+    """EIPO first, then lambda ascends. In what a run is unlike most others is part of its name. PPO
+    reads no learning rate of alpha.
     """
     ppo = dict(algo="ppo", lr_alpha=7.0)
     settings = dict(
@@ -219,13 +219,13 @@ def test_a_longer_run_is_of_another_group():
 
 
 def test_runs_that_are_unlike_have_names_of_their_own():
-    """Of whatever kind they are: EIPO with noise beside PPO without. What a run does not say is
-    unknown, and what all have is not worth a word, whatever today's default is.
+    """Of whatever kind they are: EIPO with noise beside PPO without, which comes first. What a run
+    does not say is unknown, and what most have is not worth a word, whatever today's default is.
     """
     eipo_run, other = made("a", history=3), made("b", history=3, seed=1)
     del other.settings["history"]
     ppo = dict(algo="ppo", lam=0.0, history=3)
-    several = [eipo_run, other, made("c", noise=0.0, mirror=False, **ppo), made("d", **ppo)]
+    several = [made("c", noise=0.0, mirror=False, **ppo), eipo_run, other, made("d", **ppo)]
     (kinds,) = by_group(several).values()
     assert {name: [run.name for run in runs] for name, runs in kinds.items()} == {
         "EIPO": ["a", "b"],
@@ -256,8 +256,8 @@ def test_two_formulas_of_power_have_two_names():
     rows = power, torque | new, torque, power | new
     found = [tables.settings_of(row)["power_formula"] for row in rows]
     assert found == ["power", "power", "torque", "power"]
-    several = [made(clip=x) for x in ("power", "torque", "torque")]
-    for run, formula in zip(several, ("power", "power", "torque"), strict=True):
+    several = [made(clip=x, seed=i) for i, x in enumerate(("power", "torque", "torque", "power"))]
+    for run, formula in zip(several, found, strict=True):
         run.settings["power_formula"] = formula
     (kinds,) = by_group(several).values()
     assert list(kinds) == [
