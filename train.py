@@ -98,6 +98,17 @@ class Keeper:
         except Exception as error:  # a picture is not worth a run
             warn(f"no picture of {self.folder}: {error!r}")
 
+    def is_behind(self, state):
+        """Whether the policies in the folder are of another iteration than a State: a run may be
+        ended between its checkpoint and them.
+        """
+        names = ["policy", "policy_prime"] if state.pi_prime else ["policy"]
+        try:
+            found = [run_folder.load_policy(self.folder / f"{name}.npz")[0] for name in names]
+        except Refused:  # one is missing, or damaged
+            return True
+        return any(pi.about.get("iteration") != state.iteration for pi in found)
+
     def attempt(self, write):
         """Call write(). If a file cannot be written, say so once, and try again another time."""
         try:
@@ -118,6 +129,8 @@ def train(folder, envs, cfg, options, typed):
         start = checkpoint.load(folder / "checkpoint.npz", start, envs)
     log = metrics.Log(folder, start.iteration, cfg.iterations)
     keeper = Keeper(folder, envs, cfg, log)
+    if options.resume and keeper.is_behind(start):
+        keeper.keep(start)
     what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
     say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     stop = None

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import eipo
+import go1
 import tasks
 from runtime import jax_setup, run_folder
 from runtime.cli import Refused
@@ -37,7 +38,7 @@ def save(path, state, envs, env_cfg, cfg):
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in env.items()}
-    settings = dict(env=asdict(env_cfg), learner=asdict(cfg))
+    settings = dict(env=asdict(env_cfg), learner=asdict(cfg), robot=go1.digest())
     settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
     arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
@@ -51,7 +52,9 @@ def load_settings(path):
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg, cfg = tasks.read_config(kept["env"]), tasks.tuples(kept["learner"])
-        return env_cfg, eipo.Config(**cfg), kept["jax_threads"], kept["jax"]
+        cfg = eipo.Config(**cfg)
+    run_folder.refuse_other_robot(path, kept.get("robot"))
+    return env_cfg, cfg, kept["jax_threads"], kept["jax"]
 
 
 def load(path, template, envs):

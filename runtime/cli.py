@@ -8,6 +8,8 @@ import sys
 import threading
 from operator import ge, gt, le, lt
 
+from go1 import OtherRobot
+
 COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan never is
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # more would not fit into arrays of whole numbers
@@ -66,7 +68,8 @@ def misfit(values, limits):
 
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
-    return " ".join(str(error).split()) if isinstance(error, Refused | OSError) else None
+    expected = isinstance(error, Refused | OtherRobot | OSError)
+    return " ".join(str(error).split()) if expected else None
 
 
 def program(name):

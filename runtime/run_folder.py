@@ -142,13 +142,21 @@ def robot():
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
+def refuse_other_robot(path, digest):
+    """Refuse a file of another robot, by its go1.digest. None, as older files have it, is any."""
+    if digest not in (None, ours := go1.digest()):
+        what = "train anew, or restore the go1.xml and go1.py of its time"
+        raise Refused(f"{path} is of another robot, {digest} and not {ours}: {what}")
+
+
 def save_policy(path, params, env_cfg, about=()):
     """Write policy.npz; params: as in `networks.py`.
 
     about: what it says of its training, by name, as policy.Policy has it
     """
     layers = {net: params[net].layers for net in ("actor", "estimator")}
-    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg), about=dict(about))
+    about = dict(about) | dict(robot=go1.digest())
+    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg), about=about)
     replace_file(path, lambda file: policy.save(file, pi))
 
 
@@ -159,4 +167,6 @@ def load_policy(path):
         other = [name for name, x in robot().items() if not np.array_equal(getattr(pi, name), x)]
         if other:
             raise ValueError(f"its robot has another {', '.join(other)}")
-        return pi, tasks.read_config(pi.config)
+        env_cfg = tasks.read_config(pi.config)
+    refuse_other_robot(path, pi.about.pop("robot", None))
+    return pi, env_cfg

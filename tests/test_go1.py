@@ -3,13 +3,20 @@ for granted.
 """
 
 import itertools
+import json
+import re
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from support import LEGS
+from support import LEGS, TINY, error_of
 
+import evaluate
 import go1
+import play
+import train
+from runtime import checkpoint, run_folder
 
 JOINTS = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
 
@@ -106,3 +113,273 @@ def test_leg_points_are_those_of_the_model(model):
             x.xpos for leg in LEGS for x in (data.body(f"{leg}_calf"), data.geom(f"{leg}_foot"))
         ]
         assert go1.leg_points(q)[i] == pytest.approx(np.array(points), abs=1e-12)
+
+
+# ---- another robot ----
+
+
+def edited(old, new=""):
+    """A change of go1.xml at every place where old is, which must be there."""
+
+    def edit(xml):
+        assert old in xml
+        return xml.replace(old, new)
+
+    return edit
+
+
+def left_first(xml):
+    """As in MuJoCo Menagerie: right and left exchange their names and their places."""
+    return re.sub("(?<=[FR])[LR](?=_)", lambda side: dict(L="R", R="L")[side[0]], xml)
+
+
+FR_HIP = '<motor name="FR_hip" joint="FR_hip_joint"/>'
+FR_THIGH = '<motor name="FR_thigh" joint="FR_thigh_joint"/>'
+CALF = '<contact name="FR_calf_contact" geom1="FR_calf" geom2="floor" data="found" num="1"/>'
+TRUNK = CALF.replace("FR_calf", "trunk").replace("geom1", "body1")
+FOOT = 'size="0.02" pos="0 0 -0.213"'
+MOTOR_OF = "gain, gear, biastype and dyntype of the motor of FR_hip_joint is"
+SENSOR_OF = "type, objtype, reftype, data (found: 1) and num of sensor FR_calf is"
+
+
+def motor(words, kind="motor"):
+    """A change of the first motor."""
+    return edited(FR_HIP, FR_HIP.replace("motor", kind).replace("/>", f" {words}/>"))
+
+
+# {name: (what is done to go1.xml, the line that refuses it up to "in go1.xml", the rest)}
+OTHERS = {
+    "left legs first": (left_first, "joint 1 is FL_hip_joint", "FR_hip_joint"),
+    "another name": (edited("FR_calf_joint", "FR_knee"), "joint 3 is FR_knee", "FR_calf_joint"),
+    "a joint more": (
+        edited(' <geom name="RL_foot"', ' <joint name="toe" class="hip"/> <geom name="RL_foot"'),
+        "joint 13 is toe",
+        "missing",
+    ),
+    "motors in another order": (
+        edited(f"{FR_HIP} {FR_THIGH}", f"{FR_THIGH} {FR_HIP}"),
+        "the joint of motor 0 is FR_thigh_joint",
+        "FR_hip_joint",
+    ),
+    "a motor less": (
+        edited(' <motor name="RL_calf" joint="RL_calf_joint"/>'),
+        "the joint of motor 11 is missing",
+        "RL_calf_joint",
+    ),
+    "a position servo": (
+        motor('kp="20"', "position"),
+        f"{MOTOR_OF} [20.0, 1.0, 1.0, 0.0]",
+        "[1, 1, 0, 0]",
+    ),
+    "a gear": (motor('gear="6.33"'), f"{MOTOR_OF} [1.0, 6.33, 0.0, 0.0]", "[1, 1, 0, 0]"),
+    "a slow motor": (
+        motor('dyntype="filter"', "general"),
+        f"{MOTOR_OF} [1.0, 1.0, 0.0, 2.0]",
+        "[1, 1, 0, 0]",
+    ),
+    "limits of commands": (
+        motor('ctrlrange="-23.7 45"'),
+        "TORQUE_LIMIT [N m] of FR_hip_joint is [-23.7, 45.0]",
+        "[-23.7, 23.7]",
+    ),
+    "limits of motors": (
+        motor('forcerange="-20 20"'),
+        "TORQUE_LIMIT [N m] of FR_hip_joint is [-20.0, 20.0]",
+        "[-23.7, 23.7]",
+    ),
+    "limits of joints": (
+        edited('range="-2.818 -0.888"', 'range="-2.818 -0.888" actuatorfrcrange="-45 45"'),
+        "TORQUE_LIMIT [N m] of FR_calf_joint is [-45.0, 45.0]",
+        "[-35.55, 35.55]",
+    ),
+    "damping": (
+        edited('damping="0"', 'damping="0.5"'),
+        "damping, frictionloss and stiffness of FR_hip_joint is [0.5, 0.0, 0.0]",
+        "[0.0, 0.0, 0.0]",
+    ),
+    "friction": (
+        edited('frictionloss="0"', 'frictionloss="0.2"'),
+        "damping, frictionloss and stiffness of FR_hip_joint is [0.0, 0.2, 0.0]",
+        "[0.0, 0.0, 0.0]",
+    ),
+    "springs": (
+        edited('frictionloss="0"', 'stiffness="3"'),
+        "damping, frictionloss and stiffness of FR_hip_joint is [0.0, 0.0, 3.0]",
+        "[0.0, 0.0, 0.0]",
+    ),
+    "a range without the pose": (
+        edited("-2.818 -0.888", "-1.4 -0.888"),
+        "limited, and Q_NOMINAL in the range, of FR_calf_joint is [1.0, -1.4]",
+        "[1.0, -1.5]",
+    ),
+    "no limits": (
+        edited('limited="true"', 'limited="false"'),
+        "limited, and Q_NOMINAL in the range, of FR_hip_joint is [0.0, -0.1]",
+        "[1.0, -0.1]",
+    ),
+    "no sensors": (
+        lambda xml: re.sub("(?s)<sensor>.*</sensor>", "", xml),
+        "sensor 0 is missing",
+        "trunk_contact of trunk and floor",
+    ),
+    "a sensor less": (
+        edited(TRUNK),
+        "sensor 0 is FR_hip_contact of FR_hip and floor",
+        "trunk_contact of trunk and floor",
+    ),
+    "a sensor of another part": (
+        edited(CALF, CALF.replace('"FR_calf"', '"FL_calf"')),
+        "sensor 9 is FR_calf_contact of FL_calf and floor",
+        "FR_calf_contact of FR_calf and floor",
+    ),
+    "a sensor that feels the foot too": (
+        edited(CALF, CALF.replace("geom1", "body1")),
+        f"{SENSOR_OF} [42, 1, 5, 1, 1]",
+        "[42, 5, 5, 1, 1]",
+    ),
+    "a sensor of distances": (
+        edited(CALF, CALF.replace("found", "dist")),
+        f"{SENSOR_OF} [42, 5, 5, 8, 1]",
+        "[42, 5, 5, 1, 1]",
+    ),
+    "a larger foot": (
+        edited(FOOT, FOOT.replace("0.02", "0.023")),
+        "FOOT_RADIUS [m] of FR_foot is 0.023",
+        "0.02",
+    ),
+    "a longer calf": (
+        edited(FOOT, FOOT.replace("-0.213", "-0.22")),
+        "at 0 * Q_NOMINAL the place [m] of FR_foot is [0.1881, -0.1268, -0.433]",
+        "[0.1881, -0.1268, -0.426]",
+    ),
+    "a shorter thigh": (
+        edited('_calf" pos="0 0 -0.213"', '_calf" pos="0 0 -0.21"'),
+        "at 0 * Q_NOMINAL the place [m] of FR_knee is [0.1881, -0.1268, -0.21]",
+        "[0.1881, -0.1268, -0.213]",
+    ),
+    "a longer trunk": (
+        edited('FL_hip" pos="0.1881', 'FL_hip" pos="0.1934'),
+        "at 0 * Q_NOMINAL the place [m] of FL_knee is [0.1934, 0.1268, -0.213]",
+        "[0.1881, 0.1268, -0.213]",
+    ),
+    "an axis the other way": (
+        edited('axis="1 0 0"', 'axis="-1 0 0"'),
+        "at 1 * Q_NOMINAL the place [m] of FR_knee is [0.0353, -0.1115, -0.1556]",
+        "[0.0353, -0.1412, -0.1397]",
+    ),
+}
+
+
+@pytest.fixture
+def rewrite(tmp_path, monkeypatch):
+    """A function that gives go1.py another go1.xml: ours, changed by a function."""
+    xml, numbers = go1.MODEL.read_text(), itertools.count()
+
+    def rewrite(edit):
+        folder = tmp_path / f"robot{next(numbers)}"
+        folder.mkdir()
+        monkeypatch.setattr(go1, "MODEL", folder / "go1.xml")
+        go1.MODEL.write_text(edit(xml))
+
+    return rewrite
+
+
+@pytest.mark.go1  # as their go1.xml has other words
+@pytest.mark.parametrize(("edit", "there", "here"), OTHERS.values(), ids=OTHERS)
+def test_another_robot_is_refused(rewrite, edit, there, here):
+    """By the first part that is not that of go1.py."""
+    rewrite(edit)
+    with pytest.raises(go1.OtherRobot) as refused:
+        go1.build_model(0.005, None)
+    assert str(refused.value) == f"{there} in go1.xml and {here} in go1.py"
+
+
+@pytest.mark.go1
+def test_another_robot_is_one_line_and_nothing_is_written(rewrite, tmp_path, capsys):
+    """Before it trains, and not after all of its robots fell."""
+    rewrite(edited('damping="0"', 'damping="0.5"'))
+    said = error_of(capsys, train.main, "--out", tmp_path / "run", "--num-envs", 4)
+    assert "damping" in said and not (tmp_path / "run").exists()
+
+
+def test_a_process_reads_go1_xml_once(rewrite):
+    """A run on its way saves under the digest of the robot that it trains."""
+    rewrite(lambda xml: xml)
+    before = go1.digest()
+    go1.MODEL.write_text("edited meanwhile")
+    assert go1.digest() == before
+
+
+# ---- the digest ----
+
+
+def same(xml):
+    return xml
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        edited("<worldbody>", "<!-- The world. --> <worldbody>"),
+        edited('model="go1"', 'model="mine"'),
+        edited('rgba="0.24 0.25 0.27 1"', 'rgba="1 0 0 1"'),
+        edited('mass="5.560"', 'mass="5.5600000000001"'),
+        edited('fullinertia="0.0180397 ', 'fullinertia="0.0180397000000001 '),
+    ],
+    ids=["comment", "name", "looks", "mass rounded", "inertia rounded"],
+)
+@pytest.mark.go1
+def test_digest_of_the_same_robot(rewrite, edit):
+    """Neither looks nor names make a robot another one, nor what versions of MuJoCo round."""
+    ours = go1.digest()
+    assert re.fullmatch("[0-9a-f]{12}", ours)
+    rewrite(edit)
+    assert go1.digest() == ours
+
+
+DIFFERENT = {  # what is done to go1.xml, and numbers of go1.py
+    "mass": (edited('mass="5.560"', 'mass="5.561"'), {}),
+    "centre of mass": (edited('pos="0.0208722 ', 'pos="0.0208822 '), {}),
+    "inertia": (edited('fullinertia="0.0180397 ', 'fullinertia="0.0180407 '), {}),
+    "range": (edited("-2.818 -0.888", "-2.818 -0.887"), {}),
+    "armature": (edited('armature="0.0045"', 'armature="0.0046"'), {}),
+    "length": (edited('FR_hip" pos="0.1881', 'FR_hip" pos="0.1886'), {}),
+    "foot": (same, dict(FOOT_RADIUS=0.0205)),
+    "pose": (same, dict(Q_NOMINAL=go1.Q_NOMINAL + 0.01)),
+    "action": (same, dict(ACTION_SCALE=2 * go1.ACTION_SCALE)),
+    "kp": (same, dict(KP=20.5)),
+    "kd": (same, dict(KD=0.6)),
+    "torque": (same, dict(TORQUE_LIMIT=go1.TORQUE_LIMIT + 1)),
+    "speed": (same, dict(VELOCITY_LIMIT=go1.VELOCITY_LIMIT + 1)),
+    "stall torque": (same, dict(STALL_TORQUE=34.0)),
+}
+
+
+@pytest.mark.go1
+@pytest.mark.parametrize(("edit", "numbers"), DIFFERENT.values(), ids=DIFFERENT)
+def test_digest_of_another_robot(rewrite, monkeypatch, edit, numbers):
+    ours = go1.digest()
+    rewrite(edit)
+    for name, x in numbers.items():
+        monkeypatch.setattr(go1, name, x)
+    assert go1.digest() != ours
+
+
+def test_what_another_robot_trained_is_refused(tmp_path, capsys, monkeypatch):
+    """Its policy and its checkpoint. Those of before the digest are read, of whatever robot."""
+    run = tmp_path / "run"
+    # which would keep the signals to itself
+    monkeypatch.setattr(train, "StopRequest", lambda: SimpleNamespace(requested=False))
+    assert train.main([*TINY, "--iterations", "1", "--out", str(run)]) == 0
+    old = run_folder.read_npz(run / "checkpoint.npz")
+    settings = json.loads(str(old["settings"]))
+    assert settings.pop("robot") == go1.digest()
+
+    monkeypatch.setattr(go1, "STALL_TORQUE", go1.STALL_TORQUE + 1)
+    for main in (evaluate.main, play.main):
+        said = error_of(capsys, main, run)
+        assert f"{run / 'policy.npz'} is of another robot" in said and go1.digest() in said
+    said = error_of(capsys, train.main, "--out", run, "--resume")
+    assert f"{run / 'checkpoint.npz'} is of another robot" in said
+    np.savez(run / "checkpoint.npz", **old | dict(settings=json.dumps(settings)))
+    assert checkpoint.load_settings(run / "checkpoint.npz")[0].task == "flat"

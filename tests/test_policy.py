@@ -104,6 +104,7 @@ def with_settings(path, change):
 OF_ANOTHER_WORLD = {
     "kp": lambda path: change_npz(path, kp=21.0),
     "q_nominal": lambda path: change_npz(path, q_nominal=np.zeros(12)),
+    "another robot": lambda path: with_settings(path, lambda c: c | dict(about=dict(robot="0"))),
     "friction": lambda path: with_settings(path, lambda c: c.pop("friction") and c),
     "moonlight": lambda path: with_settings(path, lambda c: c | dict(moonlight=1)),
     "moon": lambda path: with_settings(path, lambda c: c | dict(task="moon")),
