@@ -19,6 +19,7 @@ from support import ROOT, SECONDS, TINY, error_of, started
 import rewards
 import tasks
 import train
+from networks import MLP
 from runtime import jax_setup, metrics, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
@@ -438,6 +439,22 @@ def test_a_start_that_trains_nothing_records_nothing(copied):
     before = contents(copied)
     resume(copied)
     assert contents(copied) == before
+
+
+@pytest.mark.parametrize("prime", ["old", "missing", "damaged"])
+def test_a_run_that_ended_before_its_policies_were_written_writes_them(copied, prime):
+    """As by kill -9 between the checkpoint and the policies."""
+    before, path = contents(copied), copied / "policy_prime.npz"
+    pi, env_cfg = run_folder.load_policy(copied / "policy.npz")
+    old = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
+    run_folder.save_policy(copied / "policy.npz", old, env_cfg, dict(iteration=16))
+    if prime == "missing":
+        path.unlink()
+    elif prime == "damaged":
+        path.write_bytes(b"half")
+    resume(copied)
+    after = contents(copied)
+    assert all(after[name] == before[name] for name in ("policy.npz", "policy_prime.npz"))
 
 
 def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
