@@ -243,6 +243,7 @@ def test_commands_change():
     assert changes == [[False] * 2, [False] * 2, [True] * 2] * 2
 
 
+@pytest.mark.go1
 def test_reset_pose():
     """D35. Joints are at 0.5 to 1.5 times nominal, within the URDF's range, and the trunk moves by
     +- 0.5 m/s and rad/s with any yaw. Without spread all is nominal and at rest.

@@ -32,6 +32,7 @@ def model():
     return mujoco.MjModel.from_xml_path(str(go1.MODEL))
 
 
+@pytest.mark.go1
 def test_numbers_of_the_urdf(model):
     """Links with their 12 rotors, limits that are in force, and armature but no other joint losses:
 

@@ -17,12 +17,14 @@ SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action
 COMMITTED = sorted((ROOT / "results").rglob("policy*.npz"))
 
 
+@pytest.mark.go1
 def test_the_papers_tasks_have_a_committed_policy():
     """The tests below would pass on nothing. A task of one's own needs none."""
     papers = {"flat", "rough", "velocity", "curriculum"}
     assert {run_folder.load_policy(path)[1].task for path in COMMITTED} >= papers
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize("path", COMMITTED, ids=lambda path: str(path.parent.relative_to(ROOT)))
 def test_act_is_mean_of_what_a_robot_measures(path):
     """For 50 steps of each committed policy, and again after a new start: from sensors alone the
@@ -68,6 +70,7 @@ def test_a_sensor_that_fails_is_forgotten(tmp_path):
     assert np.array_equal(pi.act(*good), NOMINAL) and not pi.action.any()
 
 
+@pytest.mark.go1
 def test_a_policy_says_what_it_is_of(tmp_path):
     """In its JSON beside the settings of its world. Files of older runs do not, and are read."""
     path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)

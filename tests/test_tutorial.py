@@ -103,6 +103,7 @@ def page():
         return run_page(), drawn
 
 
+@pytest.mark.go1
 def test_outputs_are_those_of_the_page(page):
     """If this fails because something was meant to change: python tests/test_tutorial.py --write,
     and read the page.
@@ -112,6 +113,7 @@ def test_outputs_are_those_of_the_page(page):
     assert not wrong and len(shown) == len(printed), wrong[:3]
 
 
+@pytest.mark.go1
 def test_pictures_show_what_the_page_computes(page):
     """Each picture of the page carries the means of its curves, and the code still draws those."""
     drawn = page[1]

@@ -24,6 +24,7 @@ def answers(port):
         return False
 
 
+@pytest.mark.go1
 def test_only_this_machine_may_look(tmp_path):
     """`play.py --web` serves the shipped policy on a free port of this machine and on no other
     address. Ctrl-C ends it.

@@ -152,6 +152,7 @@ def test_start_is_anywhere_on_the_tile():
     assert sorted(set(env.state.tile)) == list(range(16))
 
 
+@pytest.mark.go1
 def test_the_seam(monkeypatch):
     """A robot that leaves its tile is put back and does not notice. Its twin, on the same ground,
     stays on its own, because its tiles begin 2 m further on in x and in y.
@@ -186,6 +187,7 @@ def test_the_seam(monkeypatch):
     assert moved == pytest.approx(np.array([[-2, 2], [2, 2], [2, -2], [2, 2]]), abs=1e-6)
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize("task", tasks.TASKS)
 def test_no_foot_sinks_in(task):
     """D24. With the most friction and payload of a task, the soles of a robot that stands are at
@@ -224,6 +226,7 @@ def test_no_foot_is_caught_in_the_ground():
 SOME = ["velocity", "curriculum"]  # where nothing but the feet may touch the ground
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize("high", [0.0, 1e-6], ids=["plane", "height field"])
 @pytest.mark.parametrize(
     ("quaternion", "height", "q", "ends"),
@@ -252,6 +255,7 @@ def test_what_may_touch_the_ground(task, quaternion, height, q, ends, high):
     assert not truncated.any() and not info["log"]["ended_diverged"].any()
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize(
     ("task", "expected"),
     [
@@ -330,6 +334,7 @@ def test_gravity_is_what_things_fall_by_and_what_is_felt():
     assert felt == pytest.approx(np.array([1.0, 1.0, -8.81]) / (2 + 8.81**2) ** 0.5, abs=1e-6)
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize(("limit", "ends"), [(130.0, False), (125.0, True), (None, False)])
 def test_power_limit_is_of_the_control_step(limit, ends):
     """IV-A.4, D17. Without torque joints that rest take the electronics' 42 W, and at 5 N m, of
@@ -439,6 +444,7 @@ def test_what_the_shaped_reward_sees_of_the_trunk(seen):
     assert seen[0]["gravity"] == pytest.approx(np.tile([0.0, -1.0, 0.0], (8, 1)), abs=1e-6)
 
 
+@pytest.mark.go1
 def test_what_the_shaped_reward_sees_of_joints_and_actions(seen):
     """Actions rise from 1 to 4, and speeds from 1/4 to 1 rad/s in the four steps of 20 ms. Joints
     stay 1/8 rad off the nominal pose:

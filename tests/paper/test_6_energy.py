@@ -40,7 +40,9 @@ def test_eq09_mechanical_upper_bound(clip, power):
 
 @pytest.mark.parametrize("leg", range(4), ids=["FR", "FL", "RR", "RL"])
 @pytest.mark.parametrize(
-    ("joint", "torque"), [(0, 2.0), (1, -2.0), (2, 3.0)], ids=["hip", "thigh", "calf"]
+    ("joint", "torque"),
+    [(0, 2.0), (1, -2.0), pytest.param(2, 3.0, marks=pytest.mark.go1)],
+    ids=["hip", "thigh", "calf"],
 )
 def test_eq09_gear_ratio(leg, joint, torque):
     """D4, g = (1, 1, 2/3). 2 N m at a hip or thigh and 3 N m at a calf heat alike, 0.7 * 2^2."""
@@ -78,6 +80,7 @@ def test_eq09_cost_of_a_step(clip, expected):
     assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
 
 
+@pytest.mark.go1
 def test_eq09_cost_at_the_torque_limit():
     """The torque of Eq. (9) is the one that is applied, not the one that was asked for.
 
@@ -102,6 +105,7 @@ def test_eq11_smoothness():
     assert cost == pytest.approx(0.0176, rel=1e-12)
 
 
+@pytest.mark.go1
 def test_eq11_takes_the_mean_of_the_physics_steps():
     """D17. Every joint is asked for 1/4 rad more. Its speeds are 0, 2, 4, 6 and 8 rad/s, so its
     torques 5 - qd / 2 are 5, 4, 3 and 2 N m, with a mean square of 13.5:

@@ -31,6 +31,7 @@ def test_motor_model():
     assert torque == pytest.approx(np.full(12, 3.0))
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("speed", "torque_speed", "hip", "calf"),
