@@ -79,6 +79,7 @@ def test_collisions(model):
     assert (model.geom_condim[solid] == 3).all() and (model.geom_friction[solid, 0] >= 0.6).all()
 
 
+@pytest.mark.go1
 def test_contact_with_the_floor_has_the_friction_of_the_foot(model):
     """The environment draws the friction of the feet, over which the floor's must not win."""
     data = mujoco.MjData(model)

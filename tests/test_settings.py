@@ -218,11 +218,11 @@ SENSELESS = """
 
 
 def of_the_trunk(given):
-    """The Go1's may be lighter than that of a robot of one's own."""
+    """A case, of the Go1 if a trunk of another mass would decide otherwise."""
     return pytest.param(given, marks=pytest.mark.go1) if "--payload -" in given else given
 
 
-@pytest.mark.parametrize("given", [of_the_trunk(given) for given in SENSELESS])
+@pytest.mark.parametrize("given", [of_the_trunk(x) for x in SENSELESS])
 def test_a_senseless_number_is_one_line_and_leaves_nothing_behind(
     tmp_path, capsys, monkeypatch, given
 ):
@@ -316,7 +316,9 @@ def test_a_run_that_goes_on_is_checked_as_well(capsys, monkeypatch):
     assert "--threads is 0" in error_of(capsys, train.main, "--resume", "--threads", "0")
 
 
-@pytest.mark.parametrize("given", [f"--task {task}" for task in tasks.TASKS] + SOUND)
+@pytest.mark.parametrize(
+    "given", [f"--task {task}" for task in tasks.TASKS] + [of_the_trunk(x) for x in SOUND]
+)
 def test_what_is_extreme_has_its_sense(given):
     options, *settings = parse(given.split())
     flags.check(Options(**options), *settle(*settings))

@@ -309,6 +309,7 @@ def test_latency_in_steps():
     assert np.array(torques)[:, 0, 0] == pytest.approx([0.0] * 6 + [5.0] * 2, abs=1e-6)
 
 
+@pytest.mark.go1
 def test_motor_strength_and_offset():
     """Motors of half strength, whose encoders read 0.125 rad too much: 1/2 * 20 (0.25 - 0.125).
 
