@@ -27,8 +27,9 @@ from runtime.flags import Options, parse, settle
     ],
 )
 def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, iterations, lr_alpha):
-    """V-A, V-B, V-D: H and the first lambda; IV-A: roughness in m; D22. D38: a tenth of the paper's
-    4000 and 10 000, and a larger learning rate of alpha where lambda_0 is large.
+    """V-A, V-B, V-D: H and the first lambda; IV-A: roughness in m; D22. D38: 15 % of the paper's
+    4000 iterations and 10 % of its 10 000, and a larger learning rate of alpha where lambda_0 is
+    large.
 
     All else of the world is as on flat ground, and whatever is given wins over the paper.
     """
