@@ -168,9 +168,8 @@ def prepare(options, given_env, given_learner):
     check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
     numerics = jax_setup.numerics()  # refuses before anything is written if there is no device
-    if other := [
-        f"{x} {began[x]} and not {now}" for x, now in numerics.items() if began and began[x] != now
-    ]:
+    was_and_is = {x: (was, numerics.get(x)) for x, was in (began or {}).items()}
+    if other := [f"{x} {was} and not {now}" for x, (was, now) in was_and_is.items() if was != now]:
         warn(f"{folder} began with {', '.join(other)}: last digits will differ")
     return folder, env_cfg, cfg
 

@@ -438,7 +438,7 @@ def test_a_row_does_not_say_where_its_run_was(out):
 
 
 class Played(Exception):
-    pass
+    """Raised where episodes would be played."""
 
 
 @pytest.mark.parametrize(
