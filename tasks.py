@@ -109,7 +109,7 @@ class Grid(Commands):
     def record(self, command, kernels):
         """Raise the weights, up to 1, of commands (n, 3) that were followed well, and around them.
 
-        kernels: (n, 2) means over ten seconds of the two kernels of Eq. (8)
+        kernels: (n, 2) means of both kernels of Eq. (8) over the time that a command was to last
         """
         success = (kernels > [self.LINEAR, self.ANGULAR]).all(-1)
         cell = np.floor((command[success][:, [0, 2]] - self.low[[0, 2]]) / self.CELL).astype(int)
