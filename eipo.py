@@ -2,7 +2,7 @@
 
 `eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline. It
 has neither pi_prime nor alpha, and weights r and f by 1 and lambda. At alpha = 1 / lambda both have
-the same objective up to a factor, which normalising the advantages removes. What they call follows
+the same objective up to a factor, which normalising the advantages removes. Helpers follow
 in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
     J, F            discounted sums of the task reward r (Eq. 1) and of the auxiliary cost f (Eq. 3)
@@ -83,7 +83,7 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout. All of it has the factor reward_scale (D10).
 
-    The last axis is r and, for pi, f. pi_prime knows no f.
+    The last axis is r and f for pi, and r alone for pi_prime and for PPO(0), which know no f.
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
@@ -165,14 +165,14 @@ def summary(est, task_weight, cost_weight, log, log_prime=None, gap=None):
 
 
 def init_state(envs, cfg, init=init_params):
-    """The State before the first iteration: random policies, alpha_0, environments that were reset.
+    """The State before the first iteration: random policies and alpha_0. Environments are reset.
 
     envs: of pi and, for EIPO, of pi_prime
     init: makes networks, see `ppo.init_learner`
     """
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
-    envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none comes twice
+    envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime, so none is shared
     # the critic learns lam f, which is not far above r (D6); PPO(0) knows no f
     streams = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
     pi = init_learner(rng, envs[0], streams, cfg, init)
@@ -228,7 +228,7 @@ def rollout(env, learner, key, cfg):
 
 @partial(jax.jit, static_argnames="cfg")
 def estimate(learner, tau, cfg):
-    """The Estimate of a rollout, in which r and f stay apart, or of r alone for who knows no f.
+    """The Estimate of a rollout, in which r and f stay apart, or of r alone for a policy without f.
 
     GAE is linear, so the advantages can be mixed later (L8), and the critic stays right however
     alpha moves.
@@ -279,8 +279,8 @@ def estimate_J(est):
 
     A target blends the rewards of the rollout with the values of the policy's own critic. It is
     averaged over all visited states, not only the first, and has the factor reward_scale. It is not
-    made of normalised advantages, whose mean is 0 for every policy, so that alpha would never move
-    (D8).
+    made of normalised advantages: their mean is 0 for every policy, and with them alpha would never
+    move (D8).
     """
     return est.target[..., 0].mean()
 

@@ -75,7 +75,7 @@ class Outcome(NamedTuple):
     cost: np.ndarray  # [W] Eq. (9) or [-] Eq. (11)
     power: np.ndarray  # [W] Eq. (9) without its bonus
     fell: np.ndarray  # bool, it touched the ground with what must not touch it
-    overload: np.ndarray  # bool, it drew more than max_power
+    overload: np.ndarray  # bool, it drew more than max_power and did not fall
 
 
 # of a robot whose numbers are not finite; at this power the cost of Eq. (9) is 0 (D36)
@@ -242,7 +242,7 @@ class Go1Env:
         return Physics(np.array(torques), np.array(speeds), touched)
 
     def _outcome(self, physics, motion, action_before):
-        """The Outcome of a control step."""
+        """The Outcome of a control step. It also adds to state.kernels and state.off_ground."""
         state, env_cfg = self.state, self.env_cfg
         velocity = motion.heading
         if env_cfg.velocity_frame == "body":  # D25
@@ -261,7 +261,7 @@ class Go1Env:
     def _diverged(self):
         """Which robots have numbers that are not finite, (N,): their episodes end (D36).
 
-        MuJoCo resets such a simulation and counts a warning, and any warning counts.
+        MuJoCo resets such a simulation and records a warning. Any warning ends the episode.
         """
         return self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
 
@@ -351,7 +351,7 @@ class Go1Env:
         state.targets[:, ids] = go1.Q_NOMINAL
         state.action[ids] = 0.0
         state.off_ground[ids] = 1
-        self._next_command(ids)
+        self._next_command(ids)  # before the age is 0: it records how the old one was followed
         state.age[ids] = 0
         self._observe_first(ids)
 
@@ -376,7 +376,7 @@ class Go1Env:
             self.state.tile[ids] = self.rng.integers(self.env_cfg.tiles, size=n)
             xy = terrain.origin(self.state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
-        # at this height the lowest foot or knee touches the ground
+        # the height at which the first foot or knee touches the ground
         height = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)
         self.qpos[ids] = np.column_stack([xy, height, yaw.as_quat(scalar_first=True), q])
         self.qvel[ids, :6] = uniform(-spread, spread, (n, 6))

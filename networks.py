@@ -4,7 +4,8 @@ params    {"actor", "critic", "estimator": MLP, "log_std": (A,) of the action's 
 D, P, A   widths of an observation, of what is privileged (the true body velocity) and of an action
 K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
 
-An MLP is a function of arrays. What is called like one may stand in its place.
+An MLP is a function of arrays. Anything that is called like one may stand in its place, as in
+`train.py` (D28). D-numbers are entries of deviations.md; the lab is the authors' group.
 """
 
 from dataclasses import dataclass

@@ -20,7 +20,7 @@ LR_RANGE = (1e-5, 1e-3)  # of an adapted step size: from the lab's least to the 
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """What a learner is compiled with. A tag says where a value is from, as in `eipo.Config`."""
+    """Static settings of a learner. A tag says where a value is from, as in `eipo.Config`."""
 
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
@@ -45,7 +45,7 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    # what it learns from: names, and the factors with which its critic does, see `init_learner`
+    # ((name, factor), ...): an output of the critic each, which learns factor * reward or cost
     streams: tuple = field(metadata=dict(static=True))
 
 
@@ -55,7 +55,7 @@ def init_learner(rng, env, streams, cfg, init=init_params):
     rng:     np.random.Generator
     streams: what it learns from, "reward" and perhaps "cost", with a factor that makes each of
              moderate size for the critic, which has an output for each
-    init:    `networks.init_params`, or what takes and returns the same
+    init:    `networks.init_params`, or a function with the same signature
     """
     params = init(rng, env, len(streams), cfg)
     opt_state = jax.jit(optimizer(cfg).init)(params)
@@ -126,7 +126,7 @@ def clipped_surrogate(ratio, advantage, clip_eps):
 
 
 def optimizer(cfg):
-    """Adam without its step size.
+    """Adam without its step size, which changes, so that `ppo_update` applies it.
 
     The gradient of each network is clipped by itself, with the noise's in the actor's. If a number
     in any is not finite, the whole step is skipped.
@@ -135,7 +135,7 @@ def optimizer(cfg):
     clip = dict.fromkeys(nets.values(), optax.clip_by_global_norm(cfg.max_grad_norm))
     adam = optax.scale_by_adam(b1=0.9, b2=0.999)
     direction = optax.chain(optax.partition(clip, nets), adam)
-    # after so many in a row it would apply one
+    # optax would let a bad step through after so many in a row, which is never
     return optax.apply_if_finite(direction, max_consecutive_errors=2**30)
 
 
