@@ -11,6 +11,7 @@ import shlex
 import signal
 import sys
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 if __name__ == "__main__":
@@ -73,15 +74,23 @@ class Keeper:
     def __init__(self, folder, envs, cfg, log):
         self.folder, self.envs, self.cfg, self.log = folder, envs, cfg, log
         self.newest = None  # (State, what a checkpoint stores of each env), if not written yet
-        self.failed = None  # what could not be written at the last try, as an error
+        self.record = None  # writes config.json, if that is not written yet
+        self.failed = False  # whether something could not be written at the last try
 
     def keep(self, state):
         """Take an iteration's State. The environments may go on: theirs is copied."""
         self.newest = state, [checkpoint.saved(env) for env in self.envs]
 
+    def write(self):
+        """Write what every iteration adds to: the log, and first of all config.json."""
+        if self.record:
+            self.record()
+            self.record = None
+        self.log.write()
+
     def save(self):
         """Write log, checkpoint, policies and pictures into the run folder."""
-        self.log.write()
+        self.write()
         if self.newest is None:
             return
         state, envs = self.newest
@@ -113,11 +122,11 @@ class Keeper:
         """Call write(). If a file cannot be written, say so once, and try again another time."""
         try:
             write()
-            self.failed = None
+            self.failed = False
         except OSError as error:
-            if self.failed is None:
+            if not self.failed:
                 warn(f"{error}. It trains on, and tries again after each iteration")
-            self.failed = error
+            self.failed = True
 
 
 def train(folder, envs, cfg, options, typed):
@@ -139,18 +148,17 @@ def train(folder, envs, cfg, options, typed):
         for state, row in algorithm(*envs, cfg, start):
             if stop is None:  # the first iteration is done: from now on there is something to keep
                 stop = StopRequest()
-                numerics = jax_setup.numerics()
-                run_folder.save_config(folder, env_cfg, cfg, typed, numerics, options.resume)
+                about = env_cfg, cfg, typed, jax_setup.numerics(), options.resume
+                keeper.record = partial(run_folder.save_config, folder, *about)
+            row = {name: float(x) for name, x in row.items()}
             steps = state.iteration * cfg.num_steps * cfg.num_envs
-            log.add(
-                state.iteration, dict(steps=steps) | {name: float(x) for name, x in row.items()}
-            )
+            log.add(state.iteration, dict(steps=steps) | row)
             keeper.keep(state)
             if stop.requested:
                 say("\nStopping after this iteration. Ctrl-C again stops at once")
                 return state.iteration
             is_due = keeper.failed or state.iteration % options.checkpoint_every == 0
-            keeper.attempt(keeper.save if is_due else log.write)
+            keeper.attempt(keeper.save if is_due else keeper.write)
     finally:  # whatever ends it, what was learned is kept
         keeper.save()
 

@@ -298,6 +298,23 @@ def test_a_file_that_is_in_use_costs_no_iteration(finished, tmp_path, capsys, mo
         assert all(x.tobytes() == theirs[key].tobytes() for key, x in ours.items())
 
 
+def test_a_config_that_is_in_use_is_written_later(tmp_path, capsys, monkeypatch):
+    """At the first two iterations another program has it open."""
+    real, left = os.replace, [None] * 2
+
+    def busy(source, target):
+        if left and target.name == "config.json":
+            left.pop()
+            raise PermissionError(13, "in use")
+        return real(source, target)
+
+    monkeypatch.setattr(os, "replace", busy)
+    run("--iterations", 3, "--out", tmp_path)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "tries again" in line and not left and len(rows(tmp_path)) == 4
+    assert len(json.loads((tmp_path / "config.json").read_text())["starts"]) == 1
+
+
 def test_whatever_ends_a_run_what_it_has_learned_is_saved(finished, tmp_path, monkeypatch):
     """A reward of one's own fails in the seventh iteration. Once mended, the bits are the same."""
     real, calls = rewards.flat, []
