@@ -1,6 +1,7 @@
 """`python -m results NAME ...`: figures and tables of trained robots. NAME is one of
 
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff alpha, as PNG and CSV in --out
+    weights   RUN...   a figure of PPO at each lambda and EIPO from each lambda_0, and who is good
     summary   RUN...   a line for each kind of run: score, power and falls
     table     RUN...   the same with more, and for each seed
     claims             the paper's claims of runs in --results, each with a verdict by rule
@@ -18,11 +19,11 @@ if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
     os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid outside of it
 
-from results import claims, figures, tables
+from results import claims, figures, tables, weights
 from runtime import run_folder
 from runtime.cli import COUNT, Parser, misfit, program
 
-FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha"
+FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha", "weights"
 TABLES = "summary", "table"
 
 
@@ -48,12 +49,15 @@ def main(argv):
     elif args.name == "claims":
         print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
     else:
-        rows, figure = getattr(figures, args.name)(tables.runs(args.what))
+        runs = tables.runs(args.what)
+        rows, figure = getattr(weights if args.name == "weights" else figures, args.name)(runs)
         args.out.mkdir(parents=True, exist_ok=True)
         png = dict(dpi=150, format="png")
         picture = args.out / f"{args.name}.png"
         run_folder.replace_file(picture, lambda file: figure.savefig(file, **png))
         tables.write(picture.with_suffix(".csv"), rows)
+        if args.name == "weights":
+            print(*weights.answers(runs), sep="\n")
     return 0
 
 

@@ -19,7 +19,7 @@ import evaluate
 import policy
 import tasks
 from networks import MLP
-from results import figures, tables
+from results import figures, tables, weights
 from results.__main__ import main
 from results.tables import by_group
 from runtime import run_folder
@@ -160,6 +160,79 @@ def test_alpha_over_iterations_beside_one_over_lambda():
     dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
     assert [line.get_ydata()[0] for line in dotted] == [200]
     assert [text.get_text() for text in figure.axes[0].texts] == [" PPO(0.005):\n 1.25 on 100 W"]
+
+
+def seeds(kind, scores, powers, **settings):
+    """Runs at 0.5 m/s, one for each score and power, with alpha 150 and then 250 at the end."""
+    history = dict(iteration=np.array([10, 560, 600]), alpha=np.array([9000, 150, 250]))
+    world = dict(asked_v_x=[0.5, 0.5], start_spread=[0.5, 0], v_x=[0.5, 0.5])
+    found = []
+    for seed, (score, power) in enumerate(zip(scores, powers, strict=True)):
+        played = dict(performance=[score, score], power=[power, power], seed=seed)
+        run = made(f"{kind}{seed}", **world, **played, **settings)
+        found.append(run._replace(metrics=history, row=dict(commit="c", resumed="")))
+    return found
+
+
+def test_weights_by_hand():
+    """PPO(0) scores 1.4 and 1.5 on 400 W, PPO(0.005) 1.43 and 1.43 on 100 W, EIPO 1.44 on 200 W.
+
+    Squares within arms are 2 x 0.05^2 = 0.005, over 1 + 1 + 0 degrees of freedom, so s = 0.05, and
+    t of 95 % and 2 is 4.3027. PPO(0.005) less PPO(0) is 1.43 - 1.45 = -0.02, +- 4.3027 x 0.05 x
+    sqrt(1/2 + 1/2) = 0.215: good, not surely. So the least power is 100 W, and EIPO draws twice as
+    much. Its difference is -0.01, +- 4.3027 x 0.05 x sqrt(1 + 1/2) = 0.263. Powers do not spread.
+    Its last lambda is 1 / 200 = 0.005, a good one.
+    """
+    runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
+    runs += seeds("b", [1.43, 1.43], [100, 100], algo="ppo", lam=0.005)
+    runs += seeds("c", [1.44], [200])
+    lines = [line.strip("| ").replace(" | ", "; ") for line in weights.answers(runs)]
+    assert lines[2:5] == [
+        "EIPO; 1.440; -0.010 [-0.273, +0.253]; open; 200 W; 2.00 [2.00, 2.00]; 1 of 1; "
+        "+0.010 [-0.253, +0.273]; 1",
+        "PPO(0); 1.450; +0.000 [-0.215, +0.215]; good; 400 W; ; ; ; 2",
+        "PPO(0.005); 1.430; -0.020 [-0.235, +0.195]; good; 100 W; ; ; ; 2",
+    ]
+
+
+@pytest.mark.parametrize(
+    "scores, word",
+    [([1.44, 1.44], "surely good"), ([1.41, 1.41], "surely not"), ([0.9, 0.9], "surely not")],
+)
+def test_a_weight_is_surely_good_or_surely_not(scores, word):
+    """Seeds that do not spread have no interval: of 1.45 the good ones are above 1.42."""
+    runs = seeds("a", [1.45, 1.45], [400, 400], algo="ppo", lam=0.0)
+    runs += seeds("b", scores, [100, 100], algo="ppo", lam=0.005)
+    lines = [line for line in weights.answers(runs) if line.startswith("| PPO(0.005) |")]
+    assert [line.split("|")[4].strip() for line in lines] == [word, word]  # of both starts
+
+
+@pytest.mark.parametrize("lam, good, arrived", [
+    (0.00026, [0, 5e-4, 2e-3], True),
+    (0.00024, [0, 5e-4, 2e-3], False),
+    (0.0039, [5e-4, 2e-3], True),
+    (0.0041, [5e-4, 2e-3], False),
+    (0.0001, [0], False),
+])  # fmt: skip
+def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arrived):
+    assert weights.arrives(lam, good) == arrived
+
+
+def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
+    """lambda 0 stands left of the others, and EIPO's arrow goes from 0.02 to 1 / 200, leftwards."""
+    runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
+    runs += seeds("b", [1.3], [100], algo="ppo", lam=0.005)
+    runs += seeds("c", [1.44], [200], lam=0.02)
+    rows, figure = weights.weights(runs)
+    assert [(row["lam"], row["lam_end"]) for row in rows if row["run"] == "c0"] == [(0.02, 0.005)]
+    figure.draw_without_rendering()
+    line, dots, arrow = figure.axes[0].lines
+    assert np.allclose(line.get_xydata(), [[0.005 / 3, 1.45], [0.005, 1.3]])
+    assert np.allclose(dots.get_xydata(), [[0.005 / 3, 1.4], [0.005 / 3, 1.5], [0.005, 1.3]])
+    assert np.allclose(arrow.get_xydata(), [[0.02, 1.44], [0.005, 1.44]])
+    assert arrow.get_marker() == "<"
+    (band,) = figure.axes[0].patches
+    assert np.allclose(band.get_xy()[1] + np.array([0, band.get_height()]), [1.42, 1.45])
 
 
 def test_fig6_has_a_line_for_each_seed_and_their_mean():

@@ -1,0 +1,172 @@
+"""Does anybody have to choose lambda? PPO at every weight, EIPO from several lambda_0.
+
+`weights` draws it, and `answers` has it as tables, by section 10 of rules.md.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.ticker import NullLocator
+from scipy import stats
+
+from results import tables
+from results.figures import LABELS, log_axis, panels_by, style
+from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of
+
+PPO = KINDS[1:]
+BROWN = "#8C510A"
+
+
+def last_lam(run):
+    """lambda at the end of a run, which for EIPO is 1 / alpha, of alpha's mean over the last
+    hundred iterations.
+    """
+    if run.settings["algo"] == "ppo":
+        return run.settings["lam"]
+    iteration, alpha = (run.metrics[name] for name in ("iteration", "alpha"))
+    alpha = alpha[iteration > iteration[-1] - 100].mean()
+    return 1 / alpha if alpha > 0 else np.inf
+
+
+# ---- the figure ----
+
+
+def weights(runs):
+    """Score and power over lambda: rows of a CSV and a Figure, with a panel for each group of runs.
+
+    A dot is a run of PPO. An arrow is a run of EIPO, from lambda_0 to its last lambda. In the grey
+    band PPO scores as well as with the best weight, within the margin.
+    """
+    rows = []
+    for group, kinds in by_group(runs).items():
+        for name, arm in kinds.items():
+            each, _ = tables.means(arm)
+            for run, score, power in zip(arm, each[score_of(group)], each["power"], strict=True):
+                row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
+                rows.append(row | dict(lam_end=last_lam(run), score=score, power=power))
+    figure, panels = panels_by("group", rows, 2)
+    zero = min(x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0) / 3
+    for group, mine, (top, bottom) in panels:
+        means = draw(top, mine, "score", zero)
+        if means:
+            best = max(means.values())
+            low = best - MARGINS[score_of(group)]
+            top.axhspan(low, best, color="black", alpha=0.1, linewidth=0)
+        draw(bottom, mine, "power", zero)
+        top.set_ylabel(LABELS[score_of(group)])
+        bottom.set(ylabel=LABELS["power"], xlabel="lambda of PPO; of EIPO lambda_0, to 1 / alpha")
+        log_axis(bottom)
+        bottom.set_xscale("log")
+        labels = [f"{lam:g}" for lam in LAMBDAS]
+        bottom.set_xticks([lam or zero for lam in LAMBDAS], labels, fontsize=6, rotation=45)
+        bottom.xaxis.set_minor_locator(NullLocator())
+        bottom.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3), ncols=2, fontsize=7)
+    return rows, figure
+
+
+def draw(axes, rows, column, zero):
+    """Draw a column of the rows of one group over lambda, with 0 at `zero`, since its axis is
+    logarithmic. Returns the means of PPO over its seeds, {lambda: mean}.
+    """
+    ppo = [row for row in rows if row["kind"] in PPO]
+    by_lam = sorted(tables.grouped(ppo, "lam").items())
+    means = {lam: np.mean([row[column] for row in mine]) for lam, mine in by_lam}
+    axes.plot([lam or zero for lam in means], list(means.values()), color=BROWN, linewidth=1)
+    at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
+    axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, the line is the mean of its seeds")
+    eipo = [row for row in rows if row["kind"].startswith("EIPO")]
+    for kind, mine in tables.grouped(eipo, "kind").items():
+        for i, row in enumerate(mine):
+            start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
+            arrow = dict(marker=">" if end > start else "<", markevery=[1], markersize=5)
+            look = style(kind) | arrow | dict(linewidth=1, alpha=0.7)
+            axes.plot([start, end], [row[column]] * 2, **look, label="" if i else kind)
+    axes.grid(alpha=0.3)
+    return means
+
+
+# ---- the tables ----
+
+
+class Spread(NamedTuple):
+    """How much seeds of one arm differ, pooled over several arms."""
+
+    s: float  # standard deviation
+    df: int  # degrees of freedom
+
+    def between(self, x, y):
+        """The means of x (seeds,) less that of y, and its 95 % interval: infinite if df is 0."""
+        difference, half = x.mean() - y.mean(), np.inf
+        if self.df:
+            half = stats.t.ppf(0.975, self.df) * self.s * np.sqrt(1 / len(x) + 1 / len(y))
+        return difference, difference - half, difference + half
+
+
+def spread(arms):
+    """The Spread of arms, each the numbers (seeds,) of its runs."""
+    df = sum(len(x) - 1 for x in arms)
+    squares = sum(((x - x.mean()) ** 2).sum() for x in arms)
+    return Spread(np.sqrt(squares / df) if df else np.nan, df)
+
+
+def answers(runs):
+    """Yields tables in Markdown, for each group of runs and each kind of start."""
+    for group, kinds in by_group(runs).items():
+        kinds = {name: arm for name, arm in kinds.items() if name in PPO or name[:4] == "EIPO"}
+        if not kinds.keys() & set(PPO):
+            continue
+        yield from answers_of(group, kinds, score_of(group), "random starts")
+        if score_of(group) == "performance":
+            yield from answers_of(group, kinds, "performance_nominal", "nominal starts")
+        found = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
+        yield f"Commits: {', '.join(sorted(found))}."
+
+
+def answers_of(group, kinds, name, starts):
+    """The table of one group by one of `tables.numbers_of`, from starts that are so called.
+
+    A difference is good, or no worse, if it is above the margin of the score, and surely so if its
+    interval is. Intervals are of the spread over seeds, pooled over the kinds that walk.
+    """
+    margin = MARGINS[score_of(group)]
+    numbers = {kind: tables.means(arm)[0] for kind, arm in kinds.items()}
+    score = {kind: x[name] for kind, x in numbers.items()}
+    power = {kind: np.log(x["power"]) for kind, x in numbers.items()}
+    walking = [kind for kind, x in numbers.items() if x["v_x"].mean() > 0.25]
+    of_score, of_power = (spread([x[kind] for kind in walking]) for x in (score, power))
+    ppo = [kind for kind in kinds if kind in PPO]
+    best = max(ppo, key=lambda kind: score[kind].mean())
+    good = [kind for kind in ppo if score[kind].mean() > score[best].mean() - margin]
+    least = min(good, key=lambda kind: power[kind].mean())
+    lams = [kinds[kind][0].settings["lam"] for kind in good]
+    columns = f"less {best}", "", "power", f"of {least}", "last lambda is good", "less PPO(0.005)"
+    yield f"| {' | '.join((f'{group}, {starts}', 'score', *columns, 'seeds'))} |"
+    yield "|---" * 9 + "|"
+    for kind, arm in kinds.items():
+        difference = of_score.between(score[kind], score[best])
+        ratio = arrived = other = ""
+        words = ("surely good", "good", "not good", "surely not")
+        if kind not in PPO:
+            words = "no worse", "open", "open", "worse"
+            ratio = shown(np.exp(of_power.between(power[kind], power[least])), "")
+            arrived = f"{sum(arrives(last_lam(run), lams) for run in arm)} of {len(arm)}"
+        if kind not in PPO and "PPO(0.005)" in kinds:
+            other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
+        mean, low, high = difference
+        word = words[0 if low > -margin else 3 if high < -margin else 1 if mean > -margin else 2]
+        cells = f"{score[kind].mean():.3f}", shown(difference), word
+        cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
+        yield f"| {kind} | {' | '.join(cells)} |"
+    yield ""
+
+
+def arrives(lam, good):
+    """Whether lambda is among good weights, give or take a factor of 2."""
+    above = [x for x in good if x > 0]
+    return bool(above) and min(above) / 2 <= lam <= max(above) * 2
+
+
+def shown(ends, sign="+"):
+    """A difference or a ratio as text, with its interval unless that is infinite."""
+    mean, low, high = (f"{x:{sign}.{3 if sign else 2}f}" for x in ends)
+    return f"{mean} [{low}, {high}]" if np.isfinite(ends[2]) else mean
