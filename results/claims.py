@@ -1,4 +1,4 @@
-"""The paper's claims and the promise of Eq. (3), by the rules of rules.md.
+"""The paper's claims and the promise of Eq. (3), by the rules of audit/rules.md.
 
 A claim compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
 seed is one of the rules, and those of a task must be of one commit.
@@ -15,14 +15,14 @@ from results.figures import TABLE1
 from results.tables import KINDS, MARGINS, by_group, score_of, task_of
 from runtime.cli import Refused
 
-SEEDS = range(10, 18)  # of rules.md; runs of others were seen before it was written
+SEEDS = range(10, 18)  # of audit/rules.md; runs of others were seen before it was written
 TASKS = "flat", "rough", "velocity"
 RATIOS = "power", "J/m"
 HEADINGS = dict(performance="score", peak="peak [m/s]")  # of the column with the score
 PPO = KINDS[1:]
 OTHERS = [ppo for ppo in PPO if ppo not in ("PPO(0)", "PPO(0.005)")]  # these two are rows 1 to 3
 ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
-# the number in rules.md, the task, the statistic, the commands, left, right, what is claimed
+# the number in audit/rules.md, the task, the statistic, the commands, left, right, what is claimed
 CLAIMS = [
     (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
     (2, "flat", "performance", ALL, "EIPO", "PPO(0)", ">"),
@@ -118,7 +118,7 @@ def compare(x, y, ratio=False):
 
 
 def verdict(compared, claimed, margin):
-    """What rules.md says of a Comparison.
+    """What audit/rules.md says of a Comparison.
 
     claimed: ">" or "<" (left is above right, or below), "similar", "no worse" (left is not below
              right by more than the margin), or "", on which there is no verdict

@@ -32,12 +32,12 @@ RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
-# how many are played of each policy from each kind of start, by results/rules.md and for Figure 5
+# how many are played of each policy from each kind of start, by audit/rules.md and for Figure 5
 NUM_EPISODES = dict(flat=330, rough=330, velocity=1000, curriculum=968)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 LAMBDA_0 = dict(flat=0.005, rough=0.0002, velocity=0.0002, curriculum=0.005)  # of EIPO, Section V
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
-# by rules.md, of a difference or of the logarithm of a ratio
+# by audit/rules.md, of a difference or of the logarithm of a ratio
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 # the commands of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])

@@ -1,6 +1,6 @@
 """Does anybody have to choose lambda? PPO at every weight, EIPO from several lambda_0.
 
-`weights` draws it, and `answers` has it as tables, by section 10 of rules.md.
+`weights` draws it, and `answers` has it as tables, by section 10 of audit/rules.md.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""results/claims.py: comparisons of runs by the rules of results/rules.md."""
+"""results/claims.py: comparisons of runs by the rules of results/audit/rules.md."""
 
 import json
 
