@@ -95,10 +95,11 @@ def main(argv):
         # of whole hundredths of a second, and at least two, since browsers show one as ten
         hundredths = max(2, round(100 * (args.slow or 4.0) * env.period))
         slow = hundredths / (100 * env.period)
+        pace = "in real time" if slow == 1 else f"{slow:.3g} times slower"
         pictures, logs = viewer.film(env, steps, args.seconds)
         mean = {name: np.mean([log[name] for log in logs]) for name in ("v_x", "power")}
         did = viewer.caption(env, mean, asked)
-        caption = f"{args.run.resolve().name}, {slow:.3g} times slower\n{did}"
+        caption = f"{args.run.resolve().name}, {pace}\n{did}"
         viewer.save_gif(args.gif, pictures, caption, 10 * hundredths)
     else:
         viewer.window(env, steps, asked, args.slow or 1.0)
