@@ -1,13 +1,15 @@
 """Look at a policy: `python play.py RUN` opens MuJoCo's viewer.
 
 Without a display, --web shows it in a browser (MuJoCo 4) and --gif FILE draws a moving picture.
-Legs of one colour are diagonal, so they move together in a trot.
+`python play.py RUN RUN RUN --gif FILE` draws several side by side, all asked for the same. Legs of
+one colour are diagonal, so they move together in a trot.
 
 In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left and right 0.1 rad/s
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
 """
 
 import ctypes.util
+import math
 import os
 import subprocess
 import sys
@@ -37,12 +39,12 @@ import numpy as np
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.cli import SEED, Parser, misfit, program
+from runtime.cli import SEED, Parser, Refused, misfit, program
 
 LIMITS = dict(
     port={"at least": 0, "at most": 65535},
     seed=SEED,
-    seconds={"above": 0, "at most": 600},  # pictures of ten minutes take 12 GB
+    seconds={"above": 0, "at most": 600},  # a run's pictures of ten minutes take 12 GB
     command={"at least": -100, "at most": 100},
     slow={"above": 0, "at most": 100},
 )
@@ -68,39 +70,82 @@ def play(env, pi, seed=0):
         yield info["log"]
 
 
+def names_of(folders, policies):
+    """What runs are called side by side: EIPO and PPO(lambda), or else by their folders.
+
+    A policy of an older run does not say what it is, and no two runs shall have the same name.
+    """
+    abouts = [pi.about for pi in policies if pi.about]
+    kinds = [f"PPO({x['lam']:g})" if x["algo"] == "ppo" else "EIPO" for x in abouts]
+    for names in (kinds, [folder.resolve().name for folder in folders]):
+        if len({*names}) == len(folders):
+            return names
+    return folders
+
+
+def draw(args, policies, envs, asked):
+    """Draw what policies do in their envs, side by side, into the GIF of `main`'s args.
+
+    asked: (3,) [m/s, m/s, rad/s], of all of them
+    """
+    env, alone = envs[0], len(envs) == 1
+    # of whole hundredths of a second, and at least two, since browsers show one as ten
+    hundredths = max(2, round(100 * (args.slow or 4.0) * env.period))
+    slow = hundredths / (100 * env.period)
+    pace = "in real time" if slow == 1 else f"{slow:.3g} times slower"
+    # of several runs, pictures that last less than 60 ms would make a large file
+    size, every = (viewer.SIZE, 1) if alone else (viewer.PANEL, math.ceil(6 / hundredths))
+    films = [
+        viewer.film(env, play(env, pi, args.seed), args.seconds, size, every)
+        for env, pi in zip(envs, policies, strict=True)
+    ]
+    panels, means = zip(*films, strict=True)
+    if alone:
+        did = viewer.caption(env, means[0][-1], asked)
+        captions = [[f"{args.runs[0].resolve().name}, {pace}\n{did}"] * len(means[0])]
+        foot = ""
+    else:
+        names = names_of(args.runs, policies)
+        captions = [
+            [f"{name}\n{viewer.did(mean)}" for mean in mine]
+            for name, mine in zip(names, means, strict=True)
+        ]
+        foot = f"{viewer.asked(env, asked)}   {pace}".strip()
+    viewer.save_gif(args.gif, panels, captions, foot, 10 * hundredths * every)
+
+
 @program("play.py")
 def main(argv):
     """Play or draw; returns the exit status."""
     parser = Parser("play.py", __doc__.splitlines()[0])
     add = parser.add_argument
-    add("run", metavar="RUN", type=Path, help="run folder with a policy.npz")
-    add("--gif", metavar="FILE", type=Path, help="draw into a GIF instead of a window")
+    add("runs", metavar="RUN", nargs="+", type=Path, help="run folder with a policy.npz")
+    add("--gif", metavar="FILE", type=Path, help="draw the runs into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
     asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
-    add("--command", **asked, help="m/s, m/s, rad/s (default: the task's example)")
+    add("--command", **asked, help="m/s, m/s, rad/s (default: the example of the first run's task)")
     add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), LIMITS):
         parser.error(line)
-    pi, env_cfg = run_folder.load_policy(args.run / "policy.npz")
-    asked = np.array(args.command or tasks.TASKS[env_cfg.task].commands().example, float)
-    env = make_env(env_cfg, asked)
-    steps = play(env, pi, args.seed)
+    if len(args.runs) > 1 and (args.web or not args.gif):
+        parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
+    loaded = [run_folder.load_policy(run / "policy.npz") for run in args.runs]
+    policies, configs = zip(*loaded, strict=True)
+    examples = [tasks.TASKS[env_cfg.task].commands().example for env_cfg in configs]
+    asked = np.array(args.command or examples[0], float)
+    envs = [make_env(env_cfg, asked) for env_cfg in configs]
+    if len({(env.period, x.any()) for env, x in zip(envs, examples, strict=True)}) > 1:
+        what = "all must be asked for a command or none, and have control steps of one length"
+        raise Refused(f"these runs do not go side by side: {what}")
+    env, steps = envs[0], play(envs[0], policies[0], args.seed)
     if args.web:
         viewer.browser(env, steps, asked, args.port, args.slow or 1.0)
     elif args.gif:
-        # of whole hundredths of a second, and at least two, since browsers show one as ten
-        hundredths = max(2, round(100 * (args.slow or 4.0) * env.period))
-        slow = hundredths / (100 * env.period)
-        pace = "in real time" if slow == 1 else f"{slow:.3g} times slower"
-        pictures, logs = viewer.film(env, steps, args.seconds)
-        mean = {name: np.mean([log[name] for log in logs]) for name in ("v_x", "power")}
-        did = viewer.caption(env, mean, asked)
-        caption = f"{args.run.resolve().name}, {pace}\n{did}"
-        viewer.save_gif(args.gif, pictures, caption, 10 * hundredths)
+        draw(args, policies, envs, asked)
     else:
         viewer.window(env, steps, asked, args.slow or 1.0)
     return 0

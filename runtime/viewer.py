@@ -5,6 +5,7 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
 from itertools import islice
 
 import mujoco
@@ -21,6 +22,7 @@ from runtime.cli import Refused
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
 SIZE = (480, 270)  # pixels of a GIF
+PANEL = (320, 180)  # and of each run in a GIF of several, of which three are as wide as a README
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 COLOURS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)  # of the legs
@@ -58,13 +60,21 @@ def point(camera, env, model):
     camera.azimuth = np.degrees(np.arctan2(y, x)) + 110.0
 
 
+def asked(env, command):
+    """What env's robot is asked to do, in words, or "" if its task asks for nothing."""
+    x, y, yaw = command
+    asks = env.task.commands().example.any()
+    return f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s" if asks else ""
+
+
+def did(log):
+    """What a robot does, in words."""
+    return f"v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
+
+
 def caption(env, log, command):
     """One line that says what env's robot does, and what it is asked to do if its task asks."""
-    x, y, yaw = command
-    done = f"v_x {np.mean(log['v_x']):z.1f} m/s   {np.mean(log['power']):.0f} W"
-    if not env.task.commands().example.any():
-        return done
-    return f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s   {done}"
+    return f"{asked(env, command)}   {did(log)}".strip()
 
 
 # ---- a window, a browser ----
@@ -166,37 +176,52 @@ def browser(env, steps, command, port=0, slow=1.0):
 # ---- a moving picture ----
 
 
-def film(env, steps, seconds):
-    """Pictures of each control step, `seconds` of them, (height, width, 3) uint8; and the logs."""
+def film(env, steps, seconds, size=SIZE, every=1):
+    """Pictures (height, width, 3) uint8 of each every-th control step in `seconds`; and for each
+    picture the means of v_x [m/s] and power [W] over the second up to it.
+
+    size: (width, height) of the pictures
+    """
     if os.environ.get("MUJOCO_GL") == "off":
         raise Refused("a GIF needs OpenGL: install libegl1 or libosmesa6")
     model, data = make_scene(env)
     camera = mujoco.MjvCamera()
-    list(islice(steps, round(1 / env.period)))  # the first second passes and is not drawn
+    second = round(1 / env.period)
+    logs = deque(islice(steps, second), second)  # the first second passes and is not drawn
     point(camera, env, model)
-    pictures, logs = [], []
+    pictures, means = [], []
     try:
-        renderer = mujoco.Renderer(model, SIZE[1], SIZE[0])
+        renderer = mujoco.Renderer(model, size[1], size[0])
     except Exception as error:  # MuJoCo's, or that of whichever library it draws with
         what = f"OpenGL does not work with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {error!r}"
         raise Refused(f"{what}. Install libosmesa6, or set MUJOCO_GL to another way") from None
     with renderer:
-        for log in islice(steps, max(1, round(seconds / env.period))):
+        for i, log in enumerate(islice(steps, max(1, round(seconds / env.period)))):
+            logs.append(log)
+            if i % every:
+                continue
             show(env, model, data)
             renderer.update_scene(data, camera)
             # on a height field the ground's own shadows would be specks
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = env.ground is None
             pictures.append(renderer.render())
-            logs.append(log)
-    return pictures, logs
+            means.append({name: np.mean([x[name] for x in logs]) for name in ("v_x", "power")})
+    return pictures, means
 
 
-def save_gif(path, pictures, caption, milliseconds):
-    """Write pictures, (T, height, width, 3), into a GIF; milliseconds: that each of them lasts."""
+def save_gif(path, panels, captions, foot, milliseconds):
+    """Write runs side by side into a GIF.
+
+    panels: pictures of each run, (runs, T, height, width, 3); captions: a text for each of them;
+    foot: a line below all of them; milliseconds: that each picture lasts
+    """
     font = ImageFont.load_default(17)
-    images = list(map(Image.fromarray, pictures))
-    for image in images:
-        ImageDraw.Draw(image).text((10, 6), caption, (10, 10, 10), font)
+    images = [Image.fromarray(np.concatenate(x, 1)) for x in zip(*panels, strict=True)]
+    for image, texts in zip(images, zip(*captions, strict=True), strict=True):
+        draw = ImageDraw.Draw(image)
+        for i, text in enumerate(texts):
+            draw.text((10 + i * image.width // len(texts), 6), text, (10, 10, 10), font)
+        draw.text((10, image.height - 26), foot, (10, 10, 10), font)
     # one palette without dithering: colours that change would flicker
     palette = images[0].quantize(40, Image.Quantize.MAXCOVERAGE)
     first, *others = (x.quantize(dither=Image.Dither.NONE, palette=palette) for x in images)

@@ -6,7 +6,9 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import glfw
 import mujoco
@@ -47,22 +49,44 @@ def env():
 # ---- moving pictures ----
 
 
+def gif_of(path, *argv):
+    """The GIF that play.py draws without a display: pictures (T, height, width, 3), and how long
+    each is shown [ms].
+    """
+    command = [sys.executable, "play.py", *argv, "--gif", path]
+    done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    with Image.open(path) as gif:
+        pictures = [np.asarray(x.convert("RGB"), int) for x in ImageSequence.Iterator(gif)]
+        return np.array(pictures), gif.info["duration"]
+
+
+def moves(pictures):
+    """Whether something moves from each picture to the next, below the caption."""
+    below = pictures[:, 50:-30]
+    return all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(below))
+
+
 @needs_gl
 @pytest.mark.parametrize("task", ["flat", "velocity"])
 def test_a_gif_without_a_display(runs, tmp_path, task):
     """0.1 s are 5 steps of 20 ms, each shown for 80 ms. Something moves from each to the next."""
-    command = [sys.executable, "play.py", runs[task]]
-    command += ["--gif", tmp_path / "a.gif", "--seconds", "0.1"]
-    done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    with Image.open(tmp_path / "a.gif") as gif:
-        pictures = np.array(
-            [np.asarray(x.convert("RGB"), int) for x in ImageSequence.Iterator(gif)]
-        )
-        assert gif.info["duration"] == 80
-    assert pictures.shape == (5, 270, 480, 3)
-    below = pictures[:, 30:]  # without the caption
-    assert all((np.abs(a - b).sum(-1) > 30).sum() > 50 for a, b in itertools.pairwise(below))
+    pictures, duration = gif_of(tmp_path / "a.gif", runs[task], "--seconds", "0.1")
+    assert pictures.shape == (5, 270, 480, 3) and duration == 80
+    assert moves(pictures)
+
+
+@needs_gl
+def test_three_runs_move_side_by_side(runs, tmp_path):
+    """Three panels of 320 pixels. In real time there is a picture of each third of 10 steps."""
+    three = runs["flat"], runs["rough"], runs["flat"]
+    real_time = ["--seconds", "0.2", "--slow", "1"]
+    pictures, duration = gif_of(tmp_path / "a.gif", *three, *real_time)
+    assert pictures.shape == (4, 180, 3 * 320, 3) and duration == 60
+    left, middle, right = np.split(pictures, 3, axis=2)
+    assert all(map(moves, (left, middle, right)))
+    here = np.s_[:, 50:-30]  # without what is written
+    assert (left[here] == right[here]).all() and (left[here] != middle[here]).any()
 
 
 @pytest.mark.parametrize(
@@ -79,13 +103,70 @@ def test_a_gif_says_how_fast_it_is(runs, monkeypatch, slow, milliseconds, says):
     """It shows a step of 20 ms for whole hundredths of a second, of which browsers take one for
     ten.
     """
-    log = dict(v_x=np.array([1.0]), power=np.array([300.0]))
+    monkeypatch.setattr(viewer, "film", lambda *_: ([None], [dict(v_x=1.0, power=300.0)]))
     saved = []
-    monkeypatch.setattr(viewer, "film", lambda *_: ([], [log]))
     monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
     assert play.main([str(runs["flat"]), "--gif", "a.gif", *slow.split()]) == 0
-    ((_, _, caption, duration),) = saved
-    assert f", {says}\n" in caption and duration == milliseconds
+    ((_, _, ((caption,),), foot, duration),) = saved
+    assert f", {says}\n" in caption and duration == milliseconds and not foot
+
+
+def test_panels_say_who_does_what_when_asked_for_the_same(runs, monkeypatch):
+    """What all of them are asked, and how fast it is shown, is said once."""
+    asked, saved = [], []
+
+    def film(env, steps, *_):
+        next(steps)
+        asked.append(env.state.command[0].tolist())
+        return [None], [dict(v_x=len(asked), power=100.0)]
+
+    monkeypatch.setattr(viewer, "film", film)
+    monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
+    argv = [runs["flat"], runs["rough"], "--gif", "a.gif", "--command", 0.5, -0.25, 2]
+    assert play.main([str(x) for x in argv]) == 0
+    ((_, _, captions, foot, _),) = saved
+    assert asked == [[0.5, -0.25, 2]] * 2
+    assert captions == [["flat\nv_x 1.0 m/s   100 W"], ["rough\nv_x 2.0 m/s   100 W"]]
+    assert foot == "asked 0.5 m/s, -0.2 m/s aside, 2.0 rad/s   4 times slower"
+
+
+def test_a_caption_stands_in_its_panel(tmp_path):
+    """The foot is below the first one."""
+    panels = np.full((3, 1, 90, 100, 3), 255, np.uint8)
+    viewer.save_gif(tmp_path / "a.gif", panels, [[""], ["EIPO"], [""]], "foot", 80)
+    with Image.open(tmp_path / "a.gif") as gif:
+        dark = np.asarray(gif.convert("L")) < 128
+    written = dark.reshape(2, 45, 3, 100).any((1, 3))  # above and below, of each panel
+    assert written.tolist() == [[False, True, False], [True, False, False]]
+
+
+def test_numbers_are_means_over_the_last_second(env, monkeypatch):
+    """The logs say 0, 1, 2, ...; of 0 to 49, the first second, there is no picture."""
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setattr(mujoco, "Renderer", MagicMock())
+    logs = (dict(v_x=np.array([i]), power=np.array([10.0 * i])) for i in itertools.count())
+    pictures, means = viewer.film(env, logs, 0.2, every=3)
+    assert len(pictures) == 4
+    assert [x["v_x"] for x in means] == [25.5, 28.5, 31.5, 34.5]
+    assert [x["power"] for x in means] == [255, 285, 315, 345]
+
+
+EIPO, PPO = dict(algo="eipo", lam=0.005), dict(algo="ppo", lam=0.01)
+
+
+@pytest.mark.parametrize(
+    ("folders", "abouts", "names"),
+    [
+        ("x/a x/b", (EIPO, PPO), ["EIPO", "PPO(0.01)"]),
+        ("x/a x/b x/c", (EIPO, PPO, EIPO), ["a", "b", "c"]),
+        ("x/a x/b", (EIPO, {}), ["a", "b"]),
+        ("x/a y/a", ({}, {}), ["x/a", "y/a"]),
+    ],
+)
+def test_runs_have_the_names_of_the_tables_or_of_their_folders(folders, abouts, names):
+    policies = [SimpleNamespace(about=about) for about in abouts]
+    named = play.names_of([Path(x) for x in folders.split()], policies)
+    assert [str(name) for name in named] == names
 
 
 # ---- what goes wrong ----
@@ -157,6 +238,20 @@ def test_a_senseless_number_is_one_line(capsys, given):
         play.main(["nowhere", *given.split()])
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
+
+
+@pytest.mark.parametrize("given", ["", "--web", "--web --gif a.gif"])
+def test_several_runs_without_a_gif_are_refused_in_one_line(capsys, given):
+    """Before anything is read: there are no such runs."""
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["nowhere", "elsewhere", *given.split()])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("play.py: ") and "--gif FILE" in line
+
+
+def test_runs_that_cannot_be_asked_for_the_same_are_refused(runs, capsys, tmp_path):
+    argv = runs["flat"], runs["velocity"], "--gif", tmp_path / "a.gif"
+    assert "side by side" in error_of(capsys, play.main, *argv) and not [*tmp_path.iterdir()]
 
 
 # ---- what is played ----
