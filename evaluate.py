@@ -2,8 +2,8 @@
 of 20 s without exploration noise, and prints a line for each run folder.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
-drawn, as in training, but the ground is new. Every policy starts from the same draws. The paper's
-figures are drawn by `python -m results`.
+drawn, as in training, but the ground is new. Policies that play equally many episodes start from
+the same draws. The paper's figures are drawn by `python -m results`.
 """
 
 import math

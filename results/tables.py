@@ -32,8 +32,10 @@ RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
 POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
-# how many are played of each policy from each kind of start, by audit/rules.md and for Figure 5
-NUM_EPISODES = dict(flat=330, rough=330, velocity=1000, curriculum=968)
+# how many are played of pi from random starts, by section 10 of audit/rules.md and for Figure 5
+NUM_EPISODES = dict(flat=990, rough=990, velocity=1000, curriculum=968)
+# and of pi from the nominal pose, and of pi' from each kind of start
+NUM_OTHERS = NUM_EPISODES | dict(flat=330, rough=330)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 LAMBDA_0 = dict(flat=0.005, rough=0.0002, velocity=0.0002, curriculum=0.005)  # of EIPO, Section V
 KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
@@ -285,8 +287,8 @@ def with_primes(kinds):
 def add(folders, results=RESULTS, num_episodes=None):
     """Play run folders and put them into the tables of their tasks in the folder `results`.
 
-    num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name and
-    settings is replaced. Whatever is refused is refused before anything is played.
+    num_episodes: of each policy and kind of start, if not NUM_EPISODES and NUM_OTHERS. A run of the
+    same name and settings is replaced. Whatever is refused is refused before anything is played.
     """
     found = {}
     for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):
@@ -305,8 +307,7 @@ def add(folders, results=RESULTS, num_episodes=None):
         found[folder.name] = folder, row, metrics
     for name, (folder, row, metrics) in found.items():
         task = settings_of(row)["task"]
-        n = num_episodes or NUM_EPISODES.get(task, 330)
-        played, speeds = play(folder, task, n)
+        played, speeds = play(folder, task, num_episodes)
         mine = columns(grouped(played, "policy")["pi"])
         row = dict(run=name) | numbers_of(mine) | row
         parts = {RUNS: [row], METRICS: thinned(name, metrics), EPISODES: played}
@@ -376,21 +377,23 @@ def thinned(name, rows):
             yield dict(run=name) | {column: float(x) for column, x in row.items()}
 
 
-def play(folder, task, num_episodes):
+def play(folder, task, num_episodes=None):
     """Rows of the episodes of the policies in a folder, from random and from nominal starts, and
-    those of pi's speed from random ones.
+    those of pi's speed from random ones; num_episodes: as in `add`.
 
     Equally many of each command of the evaluation, on curriculum of each command of GRID.
     """
     commands = GRID if task == "curriculum" else evaluate.commands_of(task)
-    asked = np.repeat(commands, math.ceil(num_episodes / len(commands)), 0)
     policies = [name for name, file in POLICIES.items() if (folder / file).exists()]
     rows, speeds = [], []
     for policy, nominal in product(policies, (False, True)):
+        is_main = policy == "pi" and not nominal  # of which there are most episodes
+        n = num_episodes or (NUM_EPISODES if is_main else NUM_OTHERS).get(task, 330)
+        asked = np.repeat(commands, math.ceil(n / len(commands)), 0)
         pi, env_cfg = evaluate.load(folder, nominal=nominal, prime=policy == "prime")
         env = evaluate.make_env(env_cfg, asked)
         episodes, v_x = evaluate.run_episodes(pi.mean, env)
-        if policy == "pi" and not nominal:
+        if is_main:
             speeds = [dict(run=folder.name) | row for row in speed_rows(v_x, env)]
         table = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
         row = dict(run=folder.name, policy=policy, nominal=int(nominal))

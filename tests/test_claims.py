@@ -171,6 +171,23 @@ def test_commands_that_count():
     assert compared.means == pytest.approx((0.3, 0.3))
 
 
+def test_runs_with_more_episodes_count_as_much():
+    """A seed is one number, whatever it is the mean of: older runs have 30 episodes of a command,
+    and newer ones 90. Left scores 1, 2, 3 with each command twice, right 0, 2, 1 with each once.
+    """
+    left, right = (
+        [
+            made(f"r{seed}", seed=seed, asked_v_x=np.tile(V_X, n), performance=np.full(11 * n, x))
+            for seed, x in enumerate(scores)
+        ]
+        for n, scores in ((2, [1.0, 2.0, 3.0]), (1, [0.0, 2.0, 1.0]))
+    )
+    compared, _ = claims.decide((left, right), "performance", ">")
+    assert compared.means == (2, 1) and compared.difference == 1
+    # differences of 1, 0 and 2 have an error of 1 / sqrt 3, and t is 4.302653
+    assert compared.wide == pytest.approx((1 - 2.484138, 1 + 2.484138))
+
+
 def test_the_papers_own_difference():
     """EIPO peaks 0.9 m/s above PPO(0) with every seed: the paper's 0.74 lies outside, and 0.9 of
     PPO(0.0001) below PPO(0) is not the paper's 1.55 - 2.12 = -0.57.

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -510,23 +511,33 @@ def test_a_row_does_not_say_where_its_run_was(out):
     assert tables.without_out(typed) == "python train.py --task flat"
 
 
-class Played(Exception):
-    """Raised where episodes would be played."""
-
-
 @pytest.mark.parametrize(
-    ("task", "n"), [("flat", 330), ("rough", 330), ("velocity", 1000), ("curriculum", 968)]
+    ("task", "main_one", "others"),
+    [("flat", 990, 330), ("rough", 990, 330), ("velocity", 1000, 1000), ("curriculum", 968, 968)],
 )
-def test_as_many_episodes_as_the_rules_say(short, monkeypatch, task, n):
-    """Sections 1 and 8 of rules.md, and eight of each of the 11 x 11 commands of Figure 5."""
+def test_as_many_episodes_as_the_rules_say(short, monkeypatch, task, main_one, others):
+    """Of pi from random starts, and of the others: pi from the nominal pose, and pi' from both.
+    Sections 8 and 10 of rules.md, and eight of each of the 11 x 11 commands of Figure 5.
+    """
 
-    def run_episodes(policy, env):
-        raise Played(env)
+    def run_episodes(policy, env):  # nothing is simulated
+        n = env.num_envs
+        return evaluate.Episodes(*np.zeros((5, n))), np.zeros((16, n))
+
+    def make_env(env_cfg, asked):
+        return SimpleNamespace(num_envs=len(asked), env_cfg=env_cfg, period=0.02)
 
     monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
-    monkeypatch.setattr(evaluate, "make_env", lambda env_cfg, command: len(command))
-    with pytest.raises(Played, match=f"^{n}$"):
-        main(["add", str(run_of("r", task)), "--results", "kept"])
+    monkeypatch.setattr(evaluate, "make_env", make_env)
+    folder = run_of("r", task)
+    shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
+    assert main(["add", str(folder), "--results", "kept"]) == 0
+    (run,) = tables.runs([f"kept/{task}/r"])
+    starts = [e["nominal"] for e in (run.episodes, run.prime)]
+    assert [[(x == nominal).sum() for nominal in (0, 1)] for x in starts] == [
+        [main_one, others],
+        [others, others],
+    ]
 
 
 def test_velocity_keeps_speeds_over_time(short):
