@@ -239,9 +239,10 @@ def summary(runs):
 
 def table(runs):
     """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds, and the
-    score and the last alpha of each. After EIPO from its usual lambda_0 comes its pi'.
+    score and the last alpha of each. After EIPO from its usual lambda_0 comes its pi'. On
+    curriculum there are two tables more, of the commands of `tables.by_region`.
     """
-    for group, kinds in by_group(runs).items():
+    for group, kinds in tables.by_region(by_group(runs)).items():
         names = "power", "fell", "from nominal", "energy", "last alpha", "each seed"
         yield f"| {' | '.join((group, HEADINGS[score_of(group)], *names))} |"
         yield "|---" * 8 + "|"

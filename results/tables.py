@@ -1,11 +1,12 @@
 """What came out of finished runs: a few tables for each task, and the kinds of runs in them.
 
-    results/TASK/runs.csv         a row per run: scores, command, commit, machine, every setting
-    results/TASK/metrics.csv.gz   every tenth row of the metrics.csv of each run
-    results/TASK/episodes.csv.gz  a row per episode that was played: the policy (pi, or prime for
-                                  pi_prime), how it started, what it was asked for, and
-                                  what evaluate.Episodes measures
-    results/velocity/speed.csv    the mean speed of pi over time, for Figure 6
+    TASK/runs.csv              a row per run: scores, command, commit, machine, every setting
+    TASK/metrics.csv.gz        every tenth row of the metrics.csv of each run
+    TASK/episodes.csv.gz       a row per episode that was played: the policy (pi, or prime for
+                               pi_prime), how it started, what it was asked for, and what
+                               evaluate.Episodes measures
+    velocity/speed.csv         the mean speed of pi over time, for Figure 6
+    curriculum/reached.csv.gz  a row per cell that the grid of commands had reached in the end
 
 `python -m results add RUN...` plays the policies of run folders, and puts them in.
 """
@@ -25,11 +26,13 @@ from typing import NamedTuple
 import numpy as np
 
 import evaluate
+import tasks
 from runtime import run_folder
 from runtime.cli import Refused
 
 RESULTS = Path(__file__).parent
-RUNS, METRICS, EPISODES, SPEED = "runs.csv", "metrics.csv.gz", "episodes.csv.gz", "speed.csv"
+RUNS, METRICS, EPISODES = "runs.csv", "metrics.csv.gz", "episodes.csv.gz"
+SPEED, REACHED = "speed.csv", "reached.csv.gz"
 POLICIES = dict(pi="policy.npz", prime="policy_prime.npz")
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"  # columns of episodes
 # how many are played of pi from random starts, by section 10 of audit/rules.md and for Figure 5
@@ -55,6 +58,7 @@ class Run(NamedTuple):
     episodes: dict  # {column: (episodes,)}, of pi
     prime: dict  # the same of pi_prime
     speed: dict  # {column: (times,)}
+    reached: dict  # {column: (cells,)}, as `cells_of`; {} if the tables do not say it
 
 
 # ---- tables: lists of dicts ----
@@ -113,15 +117,16 @@ def runs(patterns):
     found = []
     for path in map(Path, patterns):
         place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
-        files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED))
-        listed, metrics, episodes, speed = (grouped(read(file), "run") for file in files)
+        files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
+        listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
         names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
         if not names:
             raise Refused(f"{place / RUNS} has no run {name}")
         for run in names:
             (row,) = listed[run]
             played = grouped(episodes[run], "policy")
-            parts = metrics.get(run, []), played["pi"], played.get("prime", []), speed.get(run, [])
+            parts = [metrics.get(run, []), played["pi"], played.get("prime", [])]
+            parts += [table.get(run, []) for table in others]
             found.append(Run(run, settings_of(row), row, *map(columns, parts)))
     return found
 
@@ -281,6 +286,58 @@ def with_primes(kinds):
     return found
 
 
+# ---- regions of commands on curriculum: cells of tasks.Grid ----
+
+
+def cells_of(weights):
+    """The cells of tasks.Grid that have a weight, {column: (cells,)}.
+
+    v_x [m/s] and yaw [rad/s] are of the middle of a cell; weight: [-]
+    """
+    at = np.nonzero(weights)
+    v_x, yaw = (tasks.Grid.low[[0, 2]] + tasks.Grid.CELL * (np.transpose(at) + 0.5)).T
+    return dict(v_x=v_x, yaw=yaw, weight=weights[at])
+
+
+def inside(v_x, yaw, cells):
+    """Which commands lie in any of the cells or on its edge, (n,) bool.
+
+    v_x, yaw: (n,) [m/s], [rad/s]; those of GRID are corners of cells
+    """
+    asked = ((v_x, cells["v_x"]), (yaw, cells["yaw"]))
+    near = [np.abs(x[:, None] - middle) <= tasks.Grid.CELL / 2 for x, middle in asked]
+    return np.logical_and(*near).any(1)
+
+
+def within(run, cells):
+    """A Run with no more than the episodes that ask for a command inside the cells."""
+
+    def part(e):
+        return where(inside(e["asked_v_x"], e["asked_yaw"], cells), e) if e else e
+
+    return run._replace(episodes=part(run.episodes), prime=part(run.prime))
+
+
+def by_region(groups):
+    """Groups of runs, as in `by_group`. After a group on curriculum come two of the same runs with
+    fewer commands: those with which the grid starts, and those that it had reached when training
+    ended, the latter of the kinds whose runs all say so.
+    """
+    found = {}
+    start = cells_of(tasks.Grid().weights)
+    for group, kinds in groups.items():
+        found[group] = kinds
+        if task_of(group) == "curriculum":
+            box = {name: [within(run, start) for run in arm] for name, arm in kinds.items()}
+            reached = {
+                name: [within(run, run.reached) for run in arm]
+                for name, arm in kinds.items()
+                if all(run.reached for run in arm)
+            }
+            found |= {f"{group}, start box": box, f"{group}, reached": reached}
+    return {group: kinds for group, kinds in found.items() if kinds}
+
+
 # ---- into the tables ----
 
 
@@ -304,13 +361,15 @@ def add(folders, results=RESULTS, num_episodes=None):
             other = differing(settings_of(kept), settings)
             if kept["run"] == folder.name and other:
                 raise Refused(f"{path} has a {folder.name} with another {other}: rename the folder")
-        found[folder.name] = folder, row, metrics
-    for name, (folder, row, metrics) in found.items():
+        curriculum = settings["task"] == "curriculum"
+        reached = {REACHED: reached_rows(folder, row["iterations"])} if curriculum else {}
+        found[folder.name] = folder, row, metrics, reached
+    for name, (folder, row, metrics, reached) in found.items():
         task = settings_of(row)["task"]
         played, speeds = play(folder, task, num_episodes)
         mine = columns(grouped(played, "policy")["pi"])
         row = dict(run=name) | numbers_of(mine) | row
-        parts = {RUNS: [row], METRICS: thinned(name, metrics), EPISODES: played}
+        parts = {RUNS: [row], METRICS: thinned(name, metrics), EPISODES: played} | reached
         if task == "velocity":
             parts[SPEED] = speeds
         (results / task).mkdir(parents=True, exist_ok=True)
@@ -375,6 +434,21 @@ def thinned(name, rows):
     for row in rows:
         if int(row["iteration"]) % 10 == 0 or row is rows[-1]:
             yield dict(run=name) | {column: float(x) for column, x in row.items()}
+
+
+def reached_rows(folder, iteration):
+    """Rows of the `cells_of` what the grid of a run on curriculum had reached, from its checkpoint.
+
+    None if the checkpoint is gone, of an older version, or of another iteration than the policies.
+    """
+    path = folder / "checkpoint.npz"
+    arrays = run_folder.read_npz(path) if path.exists() else {}
+    weights = arrays.get("env0.command_weights")
+    if weights is None or arrays["state.iteration"] != iteration:
+        return []
+    cells = cells_of(weights)
+    rows = zip(*cells.values(), strict=True)
+    return [dict(run=folder.name) | dict(zip(cells, row, strict=True)) for row in rows]
 
 
 def play(folder, task, num_episodes=None):

@@ -17,14 +17,16 @@ from support import ROOT, error_of, make_run
 
 import eipo
 import evaluate
+import go1_env
 import policy
 import tasks
 from networks import MLP
-from results import figures, tables, weights
+from results import claims, figures, tables, weights
 from results.__main__ import main
 from results.tables import by_group
-from runtime import run_folder
+from runtime import checkpoint, run_folder
 from runtime.cli import Refused
+from runtime.flags import settle
 
 RESULTS = ROOT / "results"
 
@@ -39,7 +41,7 @@ def made(run="r", task="flat", speed=None, **columns):
     n = max((len(x) for x in columns.values()), default=0)
     world = dict(start_spread=0.5) | dict.fromkeys((*tables.ASKED, *evaluate.Episodes._fields), 0)
     e = {x: np.broadcast_to(columns.get(x, y), n).copy() for x, y in world.items()} if n else {}
-    return tables.Run(run, settings, {}, dict(alpha=[200, 400]), e, {}, speed or {})
+    return tables.Run(run, settings, {}, dict(alpha=[200, 400]), e, {}, speed or {}, {})
 
 
 def cells(rows, *columns):
@@ -247,6 +249,65 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
     assert figure.legends[0].get_texts()[0].get_text() == "EIPO, n = 2"
     paper = {text.get_text(): text.get_position()[1] for text in figure.axes[0].texts}
     assert paper == {"EIPO, the paper's robot": 2.5, "PPO(0.01), the paper's robot": 1.5}
+
+
+# ---- regions of commands ----
+
+
+def test_a_command_is_inside_a_cell_or_on_its_edge():
+    """Cell (2, 20) of the grid is 0 to 0.5 m/s and 0 to 0.5 rad/s. Of the commands of Figure 5 the
+    grid starts with those of at most 1 m/s and 1 rad/s, 5 times 3.
+    """
+    grid = np.zeros((22, 40))
+    grid[2, 20] = 0.4
+    cells = tables.cells_of(grid)
+    assert {name: x.tolist() for name, x in cells.items()} == dict(
+        v_x=[0.25], yaw=[0.25], weight=[0.4]
+    )
+    commands = {(0, 0): 1, (0.5, 0.5): 1, (0.2, 0.3): 1, (0.51, 0): 0, (0, -0.01): 0, (-0.5, 0): 0}
+    v_x, yaw = np.array(list(commands)).T
+    assert tables.inside(v_x, yaw, cells).tolist() == [bool(x) for x in commands.values()]
+    v_x, _, yaw = tables.GRID.T
+    found = tables.inside(v_x, yaw, tables.cells_of(tasks.Grid().weights))
+    assert (
+        found.tolist() == ((np.abs(v_x) <= 1) & (np.abs(yaw) <= 1)).tolist() and found.sum() == 15
+    )
+
+
+def test_the_table_of_the_curriculum_by_region():
+    """Commands of 0, 1.5 and 4 m/s score 1, 0.5 and 0: 0.5 in the mean, 1 in the start box, and
+    0.75 where the cell of 1 to 1.5 m/s is reached, too. Powers are 100, 200 and 600 W, and the last
+    two episodes end early. pi' scores half as much. Of PPO it is not known what it had reached.
+    """
+    e = dict(asked_v_x=[0, 1.5, 4], performance=[1, 0.5, 0], power=[100, 200, 600], fell=[0, 1, 1])
+    e = {name: 2 * x for name, x in e.items()} | dict(start_spread=[0.5] * 3 + [0] * 3)
+    e |= dict(task="curriculum", v_x=[1.0] * 6)
+    grid = tasks.Grid()
+    grid.weights[4, 20] = 0.2
+    run = made("a", **e)._replace(reached=tables.cells_of(grid.weights))
+    prime = run.episodes | dict(performance=run.episodes["performance"] / 2)
+    runs = [run._replace(prime=prime), made("b", lam=0.0, algo="ppo", **e)]
+    lines = [line.strip("|").split(" | ")[:4] for line in claims.table(runs) if "---" not in line]
+    head = ["score", "power", "fell"]
+    every, box, reached = (
+        ["0.500", "300 W", "66.7 %"],
+        ["1.000", "100 W", "0.0 %"],
+        ["0.750", "150 W", "50.0 %"],
+    )
+    group = " curriculum, 2000 iterations"
+    assert lines == [
+        [group, *head],
+        [" EIPO", *every],
+        [" pi' of EIPO", "0.250", *every[1:]],
+        [" PPO(0)", *every],
+        [f"{group}, start box", *head],
+        [" EIPO", *box],
+        [" pi' of EIPO", "0.500", *box[1:]],
+        [" PPO(0)", *box],
+        [f"{group}, reached", *head],
+        [" EIPO", *reached],
+        [" pi' of EIPO", "0.375", *reached[1:]],
+    ]
 
 
 # ---- kinds of runs ----
@@ -538,6 +599,34 @@ def test_as_many_episodes_as_the_rules_say(short, monkeypatch, task, main_one, o
         [main_one, others],
         [others, others],
     ]
+
+
+def test_what_the_grid_had_reached_is_kept(short):
+    """From the checkpoint, as train.py writes it. It is not known if the checkpoint is of another
+    iteration than the policy, of an older version, or gone.
+    """
+    folder = run_of("r", "curriculum")
+    env_cfg, cfg = settle(
+        dict(task="curriculum", history=2), dict(hidden=(8,), hidden_estimator=(8,))
+    )
+    envs = [go1_env.Go1Env(1, env_cfg, 1) for _ in range(2)]
+    state = eipo.init_state(envs, cfg)
+    envs[0].commands.weights[4, 20] = 0.4
+    path, saved = folder / "checkpoint.npz", [checkpoint.saved(env) for env in envs]
+    to = ["--results", "kept", "--episodes", "1"]
+
+    def reached(iteration, envs=saved):
+        checkpoint.save(path, state._replace(iteration=iteration), envs, env_cfg, cfg)
+        assert main(["add", str(folder), *to]) == 0
+        return tables.runs(["kept/curriculum/r"])[0].reached
+
+    cells = reached(35)
+    assert len(cells["v_x"]) == 17  # 4 x 4 cells of 0.5 m/s and 0.5 rad/s, and one more
+    assert [x[-1] for x in (cells["v_x"], cells["yaw"], cells["weight"])] == [1.25, 0.25, 0.4]
+    assert reached(36) == {} and reached(35, []) == {}
+    path.unlink()
+    assert main(["add", str(folder), *to]) == 0
+    assert tables.runs(["kept/curriculum/r"])[0].reached == {}
 
 
 def test_velocity_keeps_speeds_over_time(short):
