@@ -177,8 +177,23 @@ def fig4(runs):
     return over_commands(runs, ["flat", "rough"], ("performance",))
 
 
+def outline(axes, mesh, inside):
+    """Draw the border of some cells of a mesh; inside: (rows, columns) bool, which they are."""
+    x, y = mesh.get_coordinates()[0, :, 0], mesh.get_coordinates()[:, 0, 1]
+    padded = np.pad(inside, 1)
+    look = dict(colors="#D55E00", linewidth=2, capstyle="projecting", clip_on=False)
+    i, j = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
+    axes.vlines(x[j], y[i], y[i + 1], **look)
+    i, j = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    axes.hlines(y[i], x[j], x[j + 1], **look)
+
+
 def fig5(runs):
-    """Task performance and power over commands of v_x and yaw rate. Section V-E."""
+    """Task performance and power over commands of v_x and yaw rate. Section V-E.
+
+    Of each seed a line goes around the commands that its grid had reached when training ended, if
+    the tables say it. What is outside was asked and never trained.
+    """
     group, kinds = one_group(runs, "curriculum")
     rows = by_command(group, kinds, tables.GRID, ("performance", "power"))
     figure, panels = panels_by("run", rows, 2)
@@ -186,8 +201,11 @@ def fig5(runs):
     for i, column in enumerate(("performance", "power")):
         values = np.array([row[column] for row in rows]).reshape(-1, 11, 11)
         line = [all_axes[i] for _, _, all_axes in panels]
-        for axes, value in zip(line, values, strict=True):
+        for axes, value, arm in zip(line, values, kinds.values(), strict=True):
             image = axes.pcolormesh(yaw, v_x, value, vmin=values.min(), vmax=values.max())
+            for cells in (run.reached for run in arm if run.reached):
+                inside = tables.inside(tables.GRID[:, 0], tables.GRID[:, 2], cells)
+                outline(axes, image, inside.reshape(11, 11))
         figure.colorbar(image, ax=line, label=LABELS[column])
     figure.supxlabel("command yaw rate [rad/s]")
     figure.supylabel("command v_x [m/s]")

@@ -149,6 +149,32 @@ def test_fig5_draws_each_number_at_its_command():
         assert np.allclose(np.diff(at, axis=axis), width)
 
 
+def test_fig5_outlines_what_the_grid_had_reached():
+    """At the start that is -1 to 1 m/s and -1 to 1 rad/s. Squares have 0.5 m/s by 1 rad/s, so the
+    line goes from -1.25 to 1.25 and from -1.5 to 1.5. One more cell, of 1 to 1.5 m/s and 0 to 0.5
+    rad/s, adds the square at (1.5, 0) alone, whose line goes up to 1.75 and from -0.5 to 0.5.
+    """
+    v_x, _, yaw = tables.GRID.T
+    columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=v_x, task="curriculum")
+    grid = tasks.Grid()
+    first = made("a", **columns)._replace(reached=tables.cells_of(grid.weights))
+    grid.weights[4, 20] = 0.2
+    more = made("b", lam=0.01, **columns)._replace(reached=tables.cells_of(grid.weights))
+    _, figure = figures.fig5([first, more, made("c", lam=0.02, **columns)])
+    for axes, top in zip(figure.axes[:6], 2 * (1.25, 1.75, None), strict=True):
+        _, *lines = axes.collections
+        segments = [line for lines in lines for line in lines.get_segments()]
+        if top is None:
+            assert segments == []
+            continue
+        points = np.concatenate(segments)  # (yaw, v_x)
+        assert points.min(0).tolist() == [-1.5, -1.25] and points.max(0).tolist() == [1.5, top]
+        assert {x for x, y in points if y == top} <= {-1.5, -0.5, 0.5, 1.5}
+        # around 5 by 3 squares, and twice the height of the one on top
+        length = sum(np.abs(np.diff(line, axis=0)).sum() for line in segments)
+        assert length == 2 * 2.5 + 2 * 3 + 2 * (top - 1.25)
+
+
 def test_alpha_over_iterations_beside_one_over_lambda():
     """PPO(0.005), which scores 1.25 on 100 W, has the objective of an alpha of 200."""
     played = dict(asked_v_x=[0.5, 0.5], start_spread=[0.5, 0], performance=[1.25, 0])
