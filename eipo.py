@@ -97,8 +97,10 @@ def eipo(env, env_prime, cfg, state=None):
     """Algorithm 1, for Eqs. (3) and (4), as a generator of the State and metrics of each iteration.
 
     env, env_prime: environments of pi and of pi_prime
-    state:          State to resume from, with both environments as they were then; None: a new one
-    The tags are the paper's line numbers. Where line 11 prints pi, it means pi_prime (D1).
+    state:          State to resume from, with both environments as they were then; None: a new one,
+                    with networks.MLP. cfg.lam is above 0
+    Metrics are of pi and alpha before the iteration changes them. The tags are the paper's line
+    numbers. Where line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
@@ -110,16 +112,17 @@ def eipo(env, env_prime, cfg, state=None):
         tau, log = rollout(env, pi, key, cfg)  # Alg.1 L6
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
-        est = estimate(pi, tau, cfg)
+        est = estimate(pi, tau, cfg)  # of r and f, which line 8 weighs
         advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
         pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)  # Alg.1 L9
 
         est_prime = estimate(pi_prime, tau_prime, cfg)  # Alg.1 L10
-        advantage_prime = est_prime.advantage[..., 0]
+        advantage_prime = est_prime.advantage[..., 0]  # of r alone
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
             pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg
         )
 
+        # of the policies that made tau and tau_prime, before lines 9 and 11
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
         metrics = summary(est, dual.alpha, 1, log | losses, log_prime | losses_prime, gap)
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
@@ -146,19 +149,20 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, task_weight, cost_weight, log, log_prime=None, gap=None):
+def summary(est, task_weight, cost_weight, logged, logged_prime=None, gap=None):
     """Metrics of an iteration: J(pi), the task's share of pi's objective, and what was logged.
 
     The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)), with weights as in `mix`. Near 1 the
     cost has no say. EIPO adds alpha, the gap, and what was logged of pi_prime, as "prime_...".
     """
+    # PPO(0) has one column, of the task; its second weight is 0, so the share is 1
     weighted = est.advantage.std((0, 1)) * jnp.array([task_weight, cost_weight])
     share = weighted[0] / (weighted.sum() + 1e-30)
     metrics = dict(J=estimate_J(est), task_share=share)
-    if log_prime:
+    if logged_prime:
         metrics |= dict(alpha=task_weight, gap=gap)
-        log = log | {f"prime_{name}": x for name, x in log_prime.items()}
-    return metrics | log
+        logged = logged | {f"prime_{name}": x for name, x in logged_prime.items()}
+    return metrics | logged
 
 
 # ---- L3, L4: the start ----
@@ -236,25 +240,26 @@ def estimate(learner, tau, cfg):
     values = value(learner.params, tau.obs, tau.privileged)
     next_values = value(learner.params, tau.next_obs, tau.next_privileged)
     r_and_f = jnp.stack([getattr(tau, name) for name, _ in learner.streams], -1)
-    scale = jnp.array([factor for _, factor in learner.streams])
-    earned = cfg.reward_scale * scale * r_and_f
+    factors = jnp.array([factor for _, factor in learner.streams])
+    earned = cfg.reward_scale * factors * r_and_f
     ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
-    # the critic learns scaled numbers, which are of moderate size; line 8 mixes r and f as they are
-    return Estimate(advantage=advantage / scale, target=advantage + values)
+    # The critic learns r and lam f, which are of moderate size. Line 8 mixes r and f, so factors
+    # are taken out again, but not reward_scale, which both have.
+    return Estimate(advantage=advantage / factors, target=advantage + values)
 
 
-def gae(reward, value, next_value, terminated, truncated, gamma, gae_lambda):
+def gae(reward, values, next_values, terminated, truncated, gamma, gae_lambda):
     """GAE, the advantages (T, ...); with values 0 and gae_lambda 1 these are returns, Eq. (1).
 
     They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode or of the
     rollout.
 
-    reward, value: (T, ...)
-    next_value:    (T, ...) of the state to which step t led, also where truncated
+    reward, values: (T, ...)
+    next_values:    (T, ...) of the state to which step t led, also where truncated
     terminated, truncated: (T, ...) bool. Both end the sum; only `terminated` has no next value.
     """
-    delta = reward + gamma * next_value * ~terminated - value
+    delta = reward + gamma * next_values * ~terminated - values
     decay = gamma * gae_lambda * ~(terminated | truncated)
 
     def backwards(advantage, step):

@@ -175,8 +175,8 @@ class Motion(NamedTuple):
     """How N trunks lie and move, computed once in a control step."""
 
     to_world: np.ndarray  # (N, 3, 3) rotation from the trunk's frame to the world's
-    body: np.ndarray  # (N, 3) [m/s] linear velocity in the trunk's frame
-    heading: np.ndarray  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], level, turned with the robot
+    linear: np.ndarray  # (N, 3) [m/s] velocity in the trunk's frame
+    planar: np.ndarray  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], level, turned with the robot
     rates: np.ndarray  # (N, 3) [rad/s] angular velocity in the trunk's frame
 
 
@@ -184,13 +184,13 @@ def motion(qpos, qvel):
     """The Motion of robots with qpos (N, 19) and qvel (N, 18), as MuJoCo has them."""
     to_world = Rotation.from_quat(qpos[:, 3:7], scalar_first=True).as_matrix()
     rates = qvel[:, 3:6].copy()
-    body = np.einsum("nij,ni->nj", to_world, qvel[:, :3])
+    linear = np.einsum("nij,ni->nj", to_world, qvel[:, :3])
     yaw = np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0])
     sin, cos = np.sin(yaw), np.cos(yaw)
     x, y = qvel[:, :2].T
     yaw_rate = (to_world[:, 2] * rates).sum(1)
-    heading = np.column_stack([cos * x + sin * y, cos * y - sin * x, yaw_rate])
-    return Motion(to_world, body.astype(np.float32), heading, rates)
+    planar = np.column_stack([cos * x + sin * y, cos * y - sin * x, yaw_rate])
+    return Motion(to_world, linear.astype(np.float32), planar, rates)
 
 
 def felt_gravity(to_world, gravity):

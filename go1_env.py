@@ -59,19 +59,19 @@ FRAME_SCALE = np.concatenate([np.ones(len(part.mirror[0])) * part.scale for part
 FRAME_NOISE = np.repeat([part.noise for part in FRAME.values()], WIDTHS)
 
 
-class Physics(NamedTuple):
-    """What happened in the S physics steps of a control step."""
+class Substeps(NamedTuple):
+    """What happened in the S physics steps of one control step."""
 
     torque: np.ndarray  # (S, N, 12) [N m] that was applied in each
-    speed: np.ndarray  # (S + 1, N, 12) [rad/s] of the joints, before the first and after each
+    qd: np.ndarray  # (S + 1, N, 12) [rad/s] of the joints, before the first and after each
     touched: np.ndarray  # (N, 17) bool, which sensors of go1.xml touched the ground in any
 
 
 class Outcome(NamedTuple):
     """What each of N robots earned in a control step, and why its episode may end: (N,) each."""
 
-    reward: np.ndarray  # [-] what is learned: the task's, or the shaped one
-    task_reward: np.ndarray  # [-] Eqs. (5) to (8)
+    reward: np.ndarray  # [-] what is learned: task_reward, or the shaped one
+    task_reward: np.ndarray  # [-] Eqs. (5), (6), (8), or [m/s] Eq. (7)
     cost: np.ndarray  # [W] Eq. (9) or [-] Eq. (11)
     power: np.ndarray  # [W] Eq. (9) without its bonus
     fell: np.ndarray  # bool, it touched the ground with what must not touch it
@@ -93,7 +93,8 @@ class Go1Env:
     """
 
     action_size = 12
-    # true body velocity [m/s], which the robot cannot measure; for the critic and the estimator
+    # the trunk's true linear velocity [m/s] in its own frame, which the robot cannot measure; for
+    # the critic and the estimator
     privileged_size = 3
 
     def __init__(self, num_envs, env_cfg=tasks.Config(), threads=None, commands=None):
@@ -102,7 +103,7 @@ class Go1Env:
         self.task = tasks.TASKS[env_cfg.task]
         self.commands = commands or self.task.commands()
         self.obs_size = env_cfg.history * FRAME_WIDTH
-        self.mirror = dict(  # of each the parts, one after the other
+        self.mirror = dict(  # (index, sign) of each part, in the order of the parts
             obs=[part.mirror for part in FRAME.values()] * env_cfg.history,
             privileged=[([0, 1, 2], [1, -1, 1])],
             action=[JOINTS],
@@ -138,15 +139,17 @@ class Go1Env:
             gravity=batch.expand("opt.gravity"),  # (N, 3) [m/s^2]
             strength=np.ones((n, 1)),  # factor on the motors' torques
             offset=np.zeros((n, 12)),  # rad, by which each motor mistakes its joint's angle
-            # rad, targets on their way to the motors, oldest first
+            # rad, targets on their way to the motors, one for each physics step, oldest first
             targets=np.zeros((self.env_cfg.latency + 1, n, 12)),
             action=np.zeros((n, 12)),  # the previous one, clipped
             # the observation, oldest frame first
             frames=np.zeros((n, self.env_cfg.history, FRAME_WIDTH), np.float32),
-            velocity=np.zeros((n, 3), np.float32),  # m/s, the privileged part: of the trunk
+            privileged=np.zeros((n, 3), np.float32),  # m/s, the trunk's linear velocity
             age=np.zeros(n, np.int64),  # control steps since the episode began
             tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
-            off_ground=np.ones((n, 4), np.int64),  # control steps since each foot touched it
+            # control steps since each foot touched it; from 1 on, so that a landing at once earns
+            # nothing
+            off_ground=np.ones((n, 4), np.int64),
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
             command_weights=self.commands.weights,
@@ -170,27 +173,27 @@ class Go1Env:
 
     def observe(self):
         """What the robots see, (N, obs_size) float32, and the privileged part, (N, 3) [m/s]."""
-        return self.state.frames.reshape(self.num_envs, -1).copy(), self.state.velocity.copy()
+        return self.state.frames.reshape(self.num_envs, -1).copy(), self.state.privileged.copy()
 
     def step(self, action):
         """One control step of 20 ms for every robot.
 
         action:  (N, 12) [-]; joint targets are q_nominal + action_scale * action
-        returns  obs (N, obs_size), reward (N,) Eqs. (5)-(8), terminated (N,), truncated (N,), info:
+        returns  obs (N, obs_size), reward (N,) of Outcome, terminated (N,), truncated (N,), info:
                  privileged  (N, 3) [m/s], as `observe` returns it with obs
                  cost        (N,) [W] Eq. (9) or [-] Eq. (11), mean of the physics steps
-                 final_obs, final_privileged  the same two before any robot starts anew
+                 final_obs, final_privileged  obs and privileged before any robot starts anew
                  log         {name: (N,)}, numbers whose means tell how training goes
         """
         state = self.state
         action_before = state.action.copy()
         limit = self.env_cfg.action_limit
         state.action[:] = np.clip(action, -limit, limit)
-        physics = self._physics(go1.Q_NOMINAL + go1.ACTION_SCALE * state.action)
+        substeps = self._simulate(go1.Q_NOMINAL + go1.ACTION_SCALE * state.action)
         motion = go1.motion(self.qpos, self.qvel)
         state.age += 1
 
-        outcome = self._outcome(physics, motion, action_before)
+        outcome = self._outcome(substeps, motion, action_before)
         diverged = self._diverged()
         if diverged.any():
             state.action[diverged] = 0.0  # the action may be what was not finite
@@ -199,17 +202,17 @@ class Go1Env:
         truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
         log = self._log(motion, outcome)
         log |= dict(ended_fall=outcome.fell, ended_diverged=diverged)
-        log |= dict(ended_limit=truncated, ended_power=outcome.overload)
+        log |= dict(ended_limit=truncated, ended_power=outcome.overload)  # a limit of time
 
         if self.ground is not None:  # a robot that left its tile comes back on the other side
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
         self._next_command(np.flatnonzero(state.age % self.env_cfg.command_steps == 0))
         state.frames[:, :-1] = state.frames[:, 1:]
         state.frames[:, -1] = self._frame(motion)
-        state.velocity[:] = motion.body
-        obs, privileged = final_obs, final_privileged = self.observe()
-        if (ended := np.flatnonzero(terminated | truncated)).size:
-            self._start(ended)
+        state.privileged[:] = motion.linear
+        final_obs, final_privileged = obs, privileged = self.observe()
+        if (over := np.flatnonzero(terminated | truncated)).size:
+            self._start(over)
             obs, privileged = self.observe()
         info = dict(cost=outcome.cost, log=log, privileged=privileged)
         info |= dict(final_obs=final_obs, final_privileged=final_privileged)
@@ -217,8 +220,8 @@ class Go1Env:
 
     # ---- one control step ----
 
-    def _physics(self, target):
-        """Simulate a control step with joint targets (N, 12) [rad]. Returns Physics.
+    def _simulate(self, target):
+        """Simulate a control step with joint targets (N, 12) [rad]. Returns Substeps.
 
         Contacts are those with which a physics step begins. Those after the last one show in the
         next control step.
@@ -227,36 +230,37 @@ class Go1Env:
         torque_speed = self.task.torque_speed or self.env_cfg.motor_model
         state = self.state
         torques = []
-        speeds = [self.qvel[:, 6:].copy()]
+        qds = [self.qvel[:, 6:].copy()]
         touched = np.zeros(self.contacts.shape, bool)
         for _ in range(self.env_cfg.physics_steps):
             state.targets[:-1] = state.targets[1:]
             state.targets[-1] = target
-            qd = speeds[-1]
-            torque = motor(state.targets[0], self.qpos[:, 7:] + state.offset, qd)
-            self.ctrl[:] = go1.limit_torque(state.strength * torque, qd, torque_speed)
+            torque = motor(state.targets[0], self.qpos[:, 7:] + state.offset, qds[-1])
+            self.ctrl[:] = go1.limit_torque(state.strength * torque, qds[-1], torque_speed)
             torques.append(self.ctrl.copy())
             self.batch.step()
             touched |= self.contacts > 0  # each counts the contacts of its part
-            speeds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
-        return Physics(np.array(torques), np.array(speeds), touched)
+            qds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
+        return Substeps(np.array(torques), np.array(qds), touched)
 
-    def _outcome(self, physics, motion, action_before):
-        """The Outcome of a control step. It also adds to state.kernels and state.off_ground."""
+    def _outcome(self, substeps, motion, action_before):
+        """The Outcome of a control step. It also counts in state.kernels if commands learn, and in
+        state.off_ground if the reward is the shaped one.
+        """
         state, env_cfg = self.state, self.env_cfg
-        velocity = motion.heading
+        moved = motion.planar  # what a command asks for: v_x, v_y, yaw rate
         if env_cfg.velocity_frame == "body":  # D25
-            velocity = np.column_stack([motion.body[:, :2], motion.rates[:, 2]])
-        reward = task_reward = self.task.reward(velocity, state.command)  # Eqs. (5) to (8)
+            moved = np.column_stack([motion.linear[:, :2], motion.rates[:, 2]])
+        reward = task_reward = self.task.reward(moved, state.command)  # Eqs. (5) to (8)
         if self.commands.learns:
-            state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
+            state.kernels += np.column_stack(rewards.kernels(moved, state.command))
         if env_cfg.reward == "shaped":
-            reward = self._shaped_reward(velocity, motion, physics, action_before)
-        power, cost = self._power_and_cost(physics)
+            reward = self._shaped_reward(moved, motion, substeps, action_before)
+        power, cost = self._power_and_cost(substeps)
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
-        fell = physics.touched[:, forbidden].any(-1)  # however lightly it touches
-        limit = np.inf if env_cfg.max_power is None else env_cfg.max_power
-        return Outcome(reward, task_reward, cost, power, fell, (power > limit) & ~fell)
+        fell = substeps.touched[:, forbidden].any(-1)  # however lightly it touches
+        max_power = np.inf if env_cfg.max_power is None else env_cfg.max_power
+        return Outcome(reward, task_reward, cost, power, fell, (power > max_power) & ~fell)
 
     def _diverged(self):
         """Which robots have numbers that are not finite, (N,): their episodes end (D36).
@@ -265,22 +269,22 @@ class Go1Env:
         """
         return self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
 
-    def _power_and_cost(self, physics):
-        """Power (N,) [W] and auxiliary cost f (N,) of Physics, means over its steps."""
+    def _power_and_cost(self, substeps):
+        """Power (N,) [W] and auxiliary cost f (N,), means over the physics steps."""
         # a torque changes the speed during a physics step, so take the mean of before and after
         # (D17)
-        speed = (physics.speed[:-1] + physics.speed[1:]) / 2
-        power = energy.total_power(physics.torque, speed, self.env_cfg.clip).mean(0)
+        qd = (substeps.qd[:-1] + substeps.qd[1:]) / 2
+        power = energy.total_power(substeps.torque, qd, self.env_cfg.clip).mean(0)
         if self.env_cfg.aux == "smooth":
-            qdd = self._acceleration(physics)
-            return power, energy.smoothness_cost(physics.torque, self.state.action, qdd).mean(0)
-        return power, energy.energy_cost(physics.torque, speed, self.env_cfg.clip).mean(0)
+            qdd = self._acceleration(substeps)
+            return power, energy.smoothness_cost(substeps.torque, self.state.action, qdd).mean(0)
+        return power, energy.energy_cost(substeps.torque, qd, self.env_cfg.clip).mean(0)
 
-    def _acceleration(self, physics):
+    def _acceleration(self, substeps):
         """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""
-        return (physics.speed[-1] - physics.speed[0]) / self.period
+        return (substeps.qd[-1] - substeps.qd[0]) / self.period
 
-    def _shaped_reward(self, velocity, motion, physics, action_before):
+    def _shaped_reward(self, moved, motion, substeps, action_before):
         """The shaped reward (N,). It also counts how long each foot has been off the ground."""
         state = self.state
         touch = self.contacts[:, go1.FEET] > 0
@@ -288,11 +292,11 @@ class Go1Env:
         state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
         gait = rewards.Gait(
-            v_z=motion.body[:, 2],
+            v_z=motion.linear[:, 2],
             roll_pitch_rate=motion.rates[:, :2],
             gravity=go1.felt_gravity(motion.to_world, state.gravity),
-            torque=physics.torque[-1],
-            qdd=self._acceleration(physics),
+            torque=substeps.torque[-1],
+            qdd=self._acceleration(substeps),
             height=self.qpos[:, 2] - ground,
             landed=landed,
             collisions=(self.contacts[:, go1.THIGHS_AND_CALVES] > 0).sum(-1),
@@ -300,12 +304,12 @@ class Go1Env:
             q=self.qpos[:, 7:],
             joint_range=self.joint_range,
         )
-        return rewards.shaped(velocity, state.command, gait)
+        return rewards.shaped(moved, state.command, gait)
 
     def _log(self, motion, outcome):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
         command_x = self.state.command[:, 0].copy()
-        log = dict(v_x=motion.heading[:, 0], power=outcome.power, command_x=command_x)
+        log = dict(v_x=motion.planar[:, 0], power=outcome.power, command_x=command_x)
         if self.env_cfg.reward == "shaped":
             log |= dict(task_reward=outcome.task_reward)
         if self.commands.learns:
@@ -331,8 +335,9 @@ class Go1Env:
     def _next_command(self, ids):
         """New commands for the robots `ids`, and a record of how they followed the old ones."""
         state = self.state
-        # over the steps that were planned from this command to the next one, or to the end of the
-        # episode: after a fall the rest counts as 0
+        # Kernels count over the steps that were planned from the old command to the next one, or to
+        # the end of the episode: after a fall the rest counts as 0. Where an episode ends just when
+        # a new command came, that one has sums of 0, and is no success.
         every = self.env_cfg.command_steps
         begun = (np.maximum(state.age[ids], 1) - 1) // every * every
         planned = np.minimum(every, self.env_cfg.episode_steps - begun)
@@ -359,7 +364,7 @@ class Go1Env:
         """Let the robots `ids` see the present frame H times."""
         motion = go1.motion(self.qpos[ids], self.qvel[ids])
         self.state.frames[ids] = self._frame(motion, ids)[:, None]
-        self.state.velocity[ids] = motion.body
+        self.state.privileged[ids] = motion.linear
 
     def _place(self, ids):
         """Put the robots `ids` on the ground, in random poses around the nominal one."""
@@ -382,7 +387,7 @@ class Go1Env:
         self.qvel[ids, :6] = uniform(-spread, spread, (n, 6))
 
     def _randomize(self, ids):
-        """Draw the physics of the robots `ids` (domain randomization)."""
+        """Draw friction, masses, gravity and motors of the robots `ids` (domain randomization)."""
         n = len(ids)
         uniform = self.rng.uniform
         state, env_cfg = self.state, self.env_cfg

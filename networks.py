@@ -1,7 +1,7 @@
 """Actor, critic and estimator: the MLPs of Section IV-C.b, and what they say.
 
 params    {"actor", "critic", "estimator": MLP, "log_std": (A,) of the action's noise}
-D, P, A   widths of an observation, of what is privileged (the true body velocity) and of an action
+D, P, A   widths of an observation, of what is privileged (true velocity) and of an action
 K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
 
 An MLP is a function of arrays. Anything that is called like one may stand in its place, as in
@@ -34,15 +34,15 @@ class MLP:
 
 
 def policy(params, obs):
-    """Mean and standard deviation (..., A) of the action for obs (..., D), and estimate (..., P).
+    """Mean and standard deviation (..., A) of the action for obs (..., D), and guess (..., P).
 
-    The estimate is of what is privileged, the true velocity of the body. The actor sees it, but the
-    estimator learns from its own error alone (D19).
+    The estimator guesses what is privileged, the true velocity of the body. The actor sees the
+    guess, but the estimator learns from its own error alone (D19).
     """
-    estimate = params["estimator"](obs)
-    mean = params["actor"](jnp.concatenate([obs, jax.lax.stop_gradient(estimate)], -1))
+    guess = params["estimator"](obs)
+    mean = params["actor"](jnp.concatenate([obs, jax.lax.stop_gradient(guess)], -1))
     std = jnp.exp(params["log_std"])
-    return mean, jnp.broadcast_to(std, mean.shape), estimate
+    return mean, jnp.broadcast_to(std, mean.shape), guess
 
 
 def value(params, obs, privileged):

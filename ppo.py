@@ -24,7 +24,7 @@ class PPOConfig:
 
     num_epochs: int = 5  # [IV-C] passes over a rollout
     num_minibatches: int = 4  # [IV-C] minibatches per pass
-    lr: float = 3e-4  # [ours] eta_pi, eta_pi': Adam's initial step size; the paper: 1e-3 (D20)
+    lr: float = 3e-4  # [lab code] eta_pi, eta_pi': Adam's initial step size; the paper: 1e-3 (D20)
     target_kl: float = 0.03  # [ours] mean KL of an update that lr aims at; 0: fixed lr (D20)
     gamma: float = 0.99  # [lab code] discount, Eq. (1)
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
@@ -76,7 +76,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
     data |= dict(target=target, advantage=advantage)
     data = {name: x.reshape(-1, *x.shape[2:]) for name, x in data.items()}
 
-    def step(carry, chosen):
+    def descend(carry, chosen):
         params, opt_state = carry
         batch = {name: x[chosen] for name, x in data.items()}
         grads, log = jax.grad(ppo_loss, has_aux=True)(params, batch, cfg)
@@ -87,7 +87,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
 
     start = learner.params, learner.opt_state
     minibatches = shuffled(key, advantage.size, cfg)
-    (params, opt_state), log = jax.lax.scan(step, start, minibatches)
+    (params, opt_state), log = jax.lax.scan(descend, start, minibatches)
     losses = {name: x.mean() for name, x in log.items()}
     losses |= dict(skipped=opt_state.total_notfinite, lr=learner.lr)
     lr = adapt_lr(learner.lr, losses["kl"], cfg)
@@ -107,14 +107,14 @@ def shuffled(key, size, cfg):
 
 def ppo_loss(params, batch, cfg):
     """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
-    mean, std, estimate = policy(params, batch["obs"])
+    mean, std, guess = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
     values = value(params, batch["obs"], batch["privileged"])
     value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
-    estimator_loss = jnp.square(estimate - batch["privileged"]).sum(-1).mean()
+    estimator_loss = jnp.square(guess - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
     kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new), and is never negative
     return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())

@@ -195,7 +195,7 @@ def test_final_obs_at_a_time_limit():
         final = info["final_obs"], info["final_privileged"]
         alike = [same_bits([x], [now]) for x, now in zip(final, env.observe(), strict=True)]
         assert alike == [k < 3] * 2
-    assert env.observe()[1] == pytest.approx(go1.motion(env.qpos, env.qvel).body)
+    assert env.observe()[1] == pytest.approx(go1.motion(env.qpos, env.qvel).linear)
     assert frames(final[0])[:, :, 30].tolist() == [[0, 0, 1, 2, 3]] * 2
     assert (frames(obs) == frames(obs)[:, :1]).all() and not frames(obs)[:, :, ACTION].any()
 

@@ -118,8 +118,8 @@ def test_velocity_over_ground_and_in_the_body_frame():
     qpos = np.array([[0, 0, 1, *turned.as_quat(scalar_first=True), *[0] * 12]])
     motion = go1.motion(qpos, np.array([[0.5, 1.0, 0.0, *rates, *[0] * 12]]))
     cos, sin = 0.75**0.5, 0.5
-    assert motion.heading[0] == pytest.approx([1.0, 0.5, 0.25])
-    assert motion.body[0] == pytest.approx([cos, 0.5, -sin], abs=1e-6)
+    assert motion.planar[0] == pytest.approx([1.0, 0.5, 0.25])
+    assert motion.linear[0] == pytest.approx([cos, 0.5, -sin], abs=1e-6)
     assert motion.rates[0] == pytest.approx([0.25 * sin, 0, 0.25 * cos])
 
 
