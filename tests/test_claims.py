@@ -222,7 +222,7 @@ def test_runs_that_count(tmp_path, capsys):
     """Seeds from 10 to 17, of one commit in a group, of which all their starts must be. The longest
     group of a task comes first.
     """
-    others = ("a", 9, "old"), ("d", 18, "old"), ("long", 10, "newest")
+    others = ("a", 9, "old"), ("d", 18, "old"), ("new-b", 10, "other"), ("long", 10, "newest")
     write(tmp_path / "flat", ("b", 10, "new"), ("c", 17, "new"), *others)
     groups = claims.counted(tmp_path)
     names = {group: [run.name for run in kinds["EIPO"]] for group, kinds in groups.items()}
