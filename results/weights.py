@@ -10,8 +10,8 @@ from matplotlib.ticker import NullLocator
 from scipy import stats
 
 from results import tables
-from results.figures import LABELS, log_axis, panels_by, style
-from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of
+from results.figures import BOTTOM, LABELS, log_axis, panels_by, style
+from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of, task_of
 
 PPO = KINDS[1:]
 BROWN = "#8C510A"
@@ -52,6 +52,8 @@ def weights(runs):
             best = max(means.values())
             low = best - MARGINS[score_of(group)]
             top.axhspan(low, best, color="black", alpha=0.1, linewidth=0)
+        if BOTTOM.get(task_of(group), np.inf) < top.get_ylim()[1]:  # robots that stand are below
+            top.set_ylim(bottom=BOTTOM[task_of(group)])
         draw(bottom, mine, "power", zero)
         top.set_ylabel(LABELS[score_of(group)])
         bottom.set(ylabel=LABELS["power"], xlabel="lambda of PPO; of EIPO lambda_0, to 1 / alpha")
@@ -76,11 +78,12 @@ def draw(axes, rows, column, zero):
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, the line is the mean of its seeds")
     eipo = [row for row in rows if row["kind"].startswith("EIPO")]
     for kind, mine in tables.grouped(eipo, "kind").items():
+        label = f"EIPO from {mine[0]['lam']:g}" if kind == "EIPO" else kind
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
             arrow = dict(marker=">" if end > start else "<", markevery=[1], markersize=5)
             look = style(kind) | arrow | dict(linewidth=1, alpha=0.7)
-            axes.plot([start, end], [row[column]] * 2, **look, label="" if i else kind)
+            axes.plot([start, end], [row[column]] * 2, **look, label="" if i else label)
     axes.grid(alpha=0.3)
     return means
 

@@ -705,7 +705,9 @@ def test_the_record_can_be_read():
 TRADEOFF = "flat4000-*", "flat-eipo-lam0.005-*", "flat-ppo-lam0-*", "flat-ppo-lam0.00[25]-*"
 
 
-@pytest.mark.parametrize("name, runs", [("tradeoff", TRADEOFF), ("weights", ["flat-*lam*seed1?"])])
+@pytest.mark.parametrize(
+    "name, runs", [("tradeoff", TRADEOFF), ("weights", ["flat-*lam*seed1?", "new-*"])]
+)
 def test_a_committed_picture_comes_from_the_committed_tables(tmp_path, name, runs):
     runs = [str(RESULTS / "flat" / run) for run in runs]
     assert main([name, *runs, "--out", str(tmp_path / "new")]) == 0
