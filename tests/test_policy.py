@@ -4,12 +4,17 @@ import json
 import re
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support import NOMINAL, ROOT, error_of, make_run
 
 import evaluate
 import go1
+import go1_env
+import tasks
+from docs import losses
 from networks import MLP
 from runtime import run_folder
 
@@ -128,9 +133,134 @@ def test_what_is_no_policy_is_one_line_that_names_it(tmp_path, capsys, damage):
     assert error_of(capsys, evaluate.main, tmp_path).count(str(path)) == 1
 
 
-def test_the_lines_of_deploy_md_run(tmp_path, monkeypatch):
-    make_run(tmp_path)
+# ---- docs/deploy.md ----
+
+
+class Elsewhere:
+    """A robot in MuJoCo without our environment, for the loop of the page.
+
+    timestep: [s]; broken: (from, to) [s], while which the first `failing` of its three measurements
+        are NaN
+    """
+
+    def __init__(self, timestep=0.005, broken=(0.0, 0.0), failing=3):
+        self.data = mujoco.MjData(go1.build_model(timestep, ground=None))
+        mujoco.mj_resetDataKeyframe(self.data.model, self.data, 0)
+        mujoco.mj_kinematics(self.data.model, self.data)
+        self.broken, self.failing = broken, failing
+        self.torques, self.speeds = [], []
+
+    def measure(self):
+        seen = [self.data.qpos[3:7], self.data.qpos[7:], self.data.qvel[6:]]
+        failing = self.failing if self.broken[0] <= self.data.time < self.broken[1] else 0
+        return [x * np.nan for x in seen[:failing]] + [x.copy() for x in seen[failing:]]
+
+    def apply(self, torque):
+        self.data.ctrl = torque
+        self.torques.append(torque)
+        self.speeds.append(self.data.qvel[6:].copy())
+        mujoco.mj_step(self.data.model, self.data)
+
+
+@pytest.fixture
+def page(monkeypatch):
+    """What the lines of the page define, with the policy of results/flat."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/deploy.md").read_text(), re.S)
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(ROOT / "results/flat")
     exec(code, names := {})
-    assert names["target"].shape == names["torque"].shape == (12,)
+    return names
+
+
+@pytest.mark.go1
+@pytest.mark.parametrize("timestep, steps", [(0.005, None), (0.002, 10)])
+def test_the_loop_of_deploy_md_walks(page, timestep, steps):
+    """Four seconds at about 0.5 m/s, with physics steps of 5 ms and of 2 ms."""
+    page["STEPS"] = steps or page["STEPS"]
+    robot = Elsewhere(timestep)
+    page["walk"]([0.5, 0.0, 0.0], 4.0, robot.measure, robot.apply)
+    assert robot.data.time == pytest.approx(4)
+    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 3 and robot.data.qpos[2] > 0.25
+
+
+@pytest.mark.go1
+def test_the_loop_of_deploy_md_survives_its_sensors(page):
+    """It walks on after a gap of 60 ms. A longer one lets it forget, and only damps what is known:
+    nothing, or the joints of a robot whose quaternion is NaN.
+    """
+    gap = Elsewhere(broken=(1.998, 2.058))
+    blind, dizzy = (Elsewhere(broken=(1.998, 9.0), failing=n) for n in (3, 1))
+    for robot in (gap, blind, dizzy):
+        page["walk"]([0.5, 0.0, 0.0], 3.0, robot.measure, robot.apply)
+        assert np.isfinite(robot.torques).all()
+        assert page["pi"].frames[0].any() == (robot is gap)
+    assert np.linalg.norm(gap.data.qpos[:2]) > 0.8 and gap.data.qpos[2] > 0.25
+    assert not np.any(blind.torques[400:])
+    assert dizzy.torques[-1] == pytest.approx(-0.5 * dizzy.speeds[-1]) and dizzy.torques[-1].any()
+
+
+def test_gravity_of_deploy_md(page):
+    turn = Rotation.random(9, rng=0)
+    down = go1.felt_gravity(turn.as_matrix(), np.tile([0.0, 0.0, -9.81], (9, 1)))
+    ours = [page["gravity"](*quaternion) for quaternion in turn.as_quat(scalar_first=True)]
+    np.testing.assert_allclose(ours, down, atol=1e-12)
+
+
+@pytest.mark.go1
+def test_the_numbers_of_deploy_md(page):
+    """Those that another simulator has to reproduce, as the code has them."""
+    text = " ".join((ROOT / "docs/deploy.md").read_text().split())
+    robot, flat, curriculum = Elsewhere(), *map(tasks.task_config, ("flat", "curriculum"))
+    model, home = robot.data.model, robot.data.qpos
+    floor = robot.data.geom_xpos[model.sensor_objid[go1.FEET], 2] - go1.FOOT_RADIUS
+    foot, (hip, _, calf) = model.geom("FR_foot"), model.dof_armature[6:9]
+    limits, speeds = go1.TORQUE_LIMIT, go1.VELOCITY_LIMIT
+    asked, grid = (tasks.TASKS[task].commands() for task in ("flat", "curriculum"))
+    noise = [part.noise for part in go1_env.FRAME.values() if part.noise]
+    for said in (
+        f"{model.body_mass.sum():.1f} kg",
+        f"{hip:g} kg m^2 to hips and thighs, and {calf:g} to calves",
+        f"at {limits[0]:g} N m for hip and thigh, and at {limits[2]:g} N m for the calf",
+        f"{go1.STALL_TORQUE:g} (1 - |qd| / v) N m",
+        f"v is {speeds[0]:g} and {speeds[2]:g} rad/s",
+        f"kd is {-go1.motor_model(0, 0, 1):g}",
+        f"after {1000 * curriculum.timestep * curriculum.latency:g} ms",
+        f"the trunk level at {home[2]:g} m",
+        f"the rear feet are {1000 * floor.max():.0f} mm above it",
+        f"balls of {100 * foot.size[0]:g} cm radius",
+        "solref {:g} {:g}, solimp {:g} {:g} {:g}".format(*foot.solref, *foot.solimp[:3]),
+        "friction is {} to {}".format(*flat.friction),
+        "load {:g} to {:g} kg".format(*flat.payload),
+        "{:g} to {:g} m/s ahead".format(*[x[0] for x in (asked.low, asked.high)]),
+        f"within {grid.START:g} m/s, {grid.high[1]:g} m/s sideways and {grid.START:g} rad/s",
+        "up to {} on gravity, {} rad and {} rad/s".format(*noise),
+    ):
+        assert said in text
+    assert limits.tolist() == page["LIMIT"].tolist() and home[7:].tolist() == NOMINAL.tolist()
+    assert flat.timestep == 0.005 and flat.physics_steps == page["STEPS"]
+    assert tasks.TASKS["velocity"].torque_speed and curriculum.motor_model
+
+
+@pytest.mark.go1
+def test_the_table_of_deploy_md(capsys, monkeypatch):
+    """It has the rows of losses.py, whose first one is what evaluate.py says. Damping slows the
+    robot, and less kd makes up for it. Here episodes last a second, and a command has two.
+    """
+    cases = losses.CASES
+    for name in cases:
+        assert f"\n| {name} | " in (ROOT / "docs/deploy.md").read_text()
+    few = ("nothing", "joint damping 1", "joint damping 0.5, and kd 0", "2 ms, 10 steps a target")
+    monkeypatch.setattr(losses, "CASES", {name: cases[name] for name in few})
+    monkeypatch.setattr(evaluate, "EPISODE_STEPS", 50)
+    losses.main(ROOT / "results/flat", 22)
+    evaluate.main([str(ROOT / "results/flat"), "--episodes", "22"])
+    lines = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
+    head, row = lines[-3], lines[-1]
+    said = dict(zip(head, row, strict=True))
+    shown = {name: [float(x.split()[0].rstrip("%")) for x in row] for name, *row in lines[2:6]}
+    score, _, speed, power, fell = shown["nothing"]
+    assert score == pytest.approx(float(said["performance"]), abs=0.005)
+    assert fell == pytest.approx(100 * float(said["fell"]), abs=0.05)
+    assert power == pytest.approx(float(said["power"]), rel=0.1)  # which has falls, too
+    assert shown["joint damping 1"][2] < 0.7 * speed
+    for name in few[2:]:
+        assert shown[name][2] == pytest.approx(speed, rel=0.2)
