@@ -94,8 +94,8 @@ def test_algorithm1_line08_gae_terminated():
     A_1 =  1 + 0 - 1           = 0
     A_0 =  1 + 1/2 - 1 + 0 / 4 = 0.5
     """
-    next_value = np.array([1.0, 64.0, 1.0])
-    assert gae(ones, ones, next_value, at_1, never, 0.5, 0.5).tolist() == [0.5, 0, 0.5]
+    next_values = np.array([1.0, 64.0, 1.0])
+    assert gae(ones, ones, next_values, at_1, never, 0.5, 0.5).tolist() == [0.5, 0, 0.5]
 
 
 def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
