@@ -7,12 +7,14 @@ first row. Speed and power leave out the episodes that end in a fall, which is f
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
 
 import evaluate
 import go1
+from runtime.cli import COUNT, Parser, misfit, program
 
 CASES = {
     "nothing": {},
@@ -50,16 +52,24 @@ def measure(pi, env_cfg, asked, friction=0.0, damping=0.0, kd=go1.KD, solimp=Non
     return played.performance.mean(), *speeds, played.power[lasted].mean(), played.fell.mean()
 
 
-def main(folder, episodes=330):
-    """Print the table, from equally many episodes of each command."""
-    pi, env_cfg = evaluate.load(folder)
+@program("docs.losses")
+def main(argv):
+    """Print the table of a RUN, from --episodes of each row; returns the exit status."""
+    parser = Parser("docs.losses", __doc__.splitlines()[0])
+    parser.add_argument("run", metavar="RUN", type=Path)
+    parser.add_argument("--episodes", type=int, default=330)
+    args = parser.parse_args(argv)
+    if line := misfit(vars(args), dict(episodes=COUNT)):
+        parser.error(line)
+    pi, env_cfg = evaluate.load(args.run)
     commands = evaluate.commands_of(env_cfg.task)
-    asked = np.tile(commands, (int(episodes) // len(commands), 1))
+    asked = np.tile(commands, (max(1, args.episodes // len(commands)), 1))
     print("| changed | score | at 0.5 m/s | at 1 m/s | power | fell |\n" + "|---" * 6 + "|")
     for name, changes in CASES.items():
         row = "{:.2f} | {:.2f} m/s | {:.2f} m/s | {:.0f} W | {:.1%}"
         print(f"| {name} |", row.format(*measure(pi, env_cfg, asked, **changes)), "|", flush=True)
+    return 0
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))

@@ -14,6 +14,7 @@ from results.figures import BOTTOM, LABELS, log_axis, panels_by, style
 from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of, task_of
 
 PPO = KINDS[1:]
+WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
 
 
@@ -45,7 +46,8 @@ def weights(runs):
                 row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
                 rows.append(row | dict(lam_end=last_lam(run), score=score, power=power))
     figure, panels = panels_by("group", rows, 2)
-    zero = min(x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0) / 3
+    above = [x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0]
+    zero = min([*above, LAMBDAS[1]]) / 3  # where 0 stands on an axis that is logarithmic
     for group, mine, (top, bottom) in panels:
         means = draw(top, mine, "score", zero)
         if means:
@@ -135,7 +137,7 @@ def answers_of(group, kinds, name, starts):
     numbers = {kind: tables.means(arm)[0] for kind, arm in kinds.items()}
     score = {kind: x[name] for kind, x in numbers.items()}
     power = {kind: np.log(x["power"]) for kind, x in numbers.items()}
-    walking = [kind for kind, x in numbers.items() if x["v_x"].mean() > 0.25]
+    walking = [kind for kind, x in numbers.items() if x["v_x"].mean() > WALKS]
     of_score, of_power = (spread([x[kind] for kind in walking]) for x in (score, power))
     ppo = [kind for kind in kinds if kind in PPO]
     best = max(ppo, key=lambda kind: score[kind].mean())
@@ -148,19 +150,25 @@ def answers_of(group, kinds, name, starts):
     for kind, arm in kinds.items():
         difference = of_score.between(score[kind], score[best])
         ratio = arrived = other = ""
-        words = ("surely good", "good", "not good", "surely not")
+        word = verdict(difference, margin)
         if kind not in PPO:
-            words = "no worse", "open", "open", "worse"
+            word = {"surely good": "no worse", "surely not": "worse"}.get(word, "open")
             ratio = shown(np.exp(of_power.between(power[kind], power[least])), "")
             arrived = f"{sum(arrives(last_lam(run), lams) for run in arm)} of {len(arm)}"
         if kind not in PPO and "PPO(0.005)" in kinds:
             other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
-        mean, low, high = difference
-        word = words[0 if low > -margin else 3 if high < -margin else 1 if mean > -margin else 2]
         cells = f"{score[kind].mean():.3f}", shown(difference), word
         cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
         yield f"| {kind} | {' | '.join(cells)} |"
     yield ""
+
+
+def verdict(difference, margin):
+    """Whether a difference to the best, with its interval, is above minus the margin."""
+    mean, low, high = difference
+    if low > -margin or high < -margin:
+        return "surely good" if low > -margin else "surely not"
+    return "good" if mean > -margin else "not good"
 
 
 def arrives(lam, good):

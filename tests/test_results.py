@@ -248,7 +248,7 @@ def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arr
 
 
 def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
-    """lambda 0 stands left of the others, and EIPO's arrow goes from 0.02 to 1 / 200, leftwards."""
+    """lambda 0 stands left of 0.0001, and EIPO's arrow goes from 0.02 to 1 / 200, leftwards."""
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.3], [100], algo="ppo", lam=0.005)
     runs += seeds("c", [1.44], [200], lam=0.02)
@@ -256,8 +256,8 @@ def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     assert [(row["lam"], row["lam_end"]) for row in rows if row["run"] == "c0"] == [(0.02, 0.005)]
     figure.draw_without_rendering()
     line, dots, arrow = figure.axes[0].lines
-    assert np.allclose(line.get_xydata(), [[0.005 / 3, 1.45], [0.005, 1.3]])
-    assert np.allclose(dots.get_xydata(), [[0.005 / 3, 1.4], [0.005 / 3, 1.5], [0.005, 1.3]])
+    assert np.allclose(line.get_xydata(), [[0.0001 / 3, 1.45], [0.005, 1.3]])
+    assert np.allclose(dots.get_xydata(), [[0.0001 / 3, 1.4], [0.0001 / 3, 1.5], [0.005, 1.3]])
     assert np.allclose(arrow.get_xydata(), [[0.02, 1.44], [0.005, 1.44]])
     assert arrow.get_marker() == "<"
     (band,) = figure.axes[0].patches
@@ -779,3 +779,10 @@ def test_a_wrong_command_line_is_one_line(argv, capsys):
         main(argv)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("python -m results: ")
+
+
+def test_weights_of_ppo_without_energy_alone():
+    """There is no lambda above 0 to place 0 by."""
+    rows, figure = weights.weights(seeds("a", [1.4], [400], algo="ppo", lam=0.0))
+    figure.draw_without_rendering()
+    assert figure.axes[0].lines[1].get_xdata() == [0.0001 / 3] and len(rows) == 1
