@@ -17,6 +17,7 @@ import pytest
 from PIL import Image, ImageSequence
 from support import ROOT, error_of, make_run
 
+import evaluate
 import play
 import tasks
 import terrain
@@ -402,3 +403,9 @@ def test_play_takes_no_jax(runs):
     code = "import sys, play, evaluate; print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.stdout == "False\n"
+
+
+def test_power_is_shown_by_one_formula():
+    """A run that learned from the clip as printed is measured as all others are (D3)."""
+    env = play.make_env(tasks.Config(clip="torque"), np.zeros(3))
+    assert env.env_cfg.clip == evaluate.CLIP == "power"
