@@ -16,13 +16,16 @@ from results.tables import KINDS, MARGINS, by_group, score_of, task_of
 from runtime.cli import Refused
 
 SEEDS = range(10, 18)  # of audit/rules.md; runs of others were seen before it was written
-TASKS = "flat", "rough", "velocity"
+TASKS = "flat", "rough", "velocity", "curriculum"
 RATIOS = "power", "J/m"
 HEADINGS = dict(performance="score", peak="peak [m/s]")  # of the column with the score
 PPO = KINDS[1:]
 OTHERS = [ppo for ppo in PPO if ppo not in ("PPO(0)", "PPO(0.005)")]  # these two are rows 1 to 3
-ALL, EVERY = (0, 1), "every command"  # of v_x [m/s]: from, to; or each of them by itself
-# the number in audit/rules.md, the task, the statistic, the commands, left, right, what is claimed
+ALL, EVERY = "", "every command"  # those of an evaluation together, or each by itself
+BOX, FAST, TURNING = "start box", "high v_x", "high yaw rate"  # of curriculum, as in `asked`
+SHAPED, SMOOTH = "PPO(0) shaped", "EIPO smooth"
+# the number in audit/rules.md, the task, the statistic, the commands, which may be v_x from ... to
+# ... [m/s], left, right, what is claimed
 CLAIMS = [
     (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
     (2, "flat", "performance", ALL, "EIPO", "PPO(0)", ">"),
@@ -50,16 +53,28 @@ CLAIMS = [
     *((23, "velocity", "peak", ALL, "EIPO", ppo, ">") for ppo in PPO),
     *((24, "velocity", "peak", ALL, ppo, "PPO(0)", "<") for ppo in PPO[1:]),
     (25, "velocity", "power", ALL, "EIPO", "PPO(0)", "similar"),
+    *((26, "curriculum", "performance", x, "PPO(0.005)", "EIPO", "<") for x in (ALL, BOX)),
+    *((26, "curriculum", "performance", x, "PPO(0.005)", SHAPED, "<") for x in (ALL, BOX)),
+    *((27, "curriculum", "performance", x, "EIPO", SHAPED, "similar") for x in (ALL, BOX)),
+    *((27, "curriculum", "power", x, "EIPO", SHAPED, "no more") for x in (ALL, BOX)),
+    (28, "curriculum", "performance", TURNING, "EIPO", SHAPED, "<"),
+    (28, "curriculum", "performance", FAST, "EIPO", SHAPED, ">"),
+    *((29, "curriculum", "performance", x, SMOOTH, SHAPED, "similar") for x in (ALL, BOX)),
+    *((29, "curriculum", "power", x, SMOOTH, SHAPED, "<") for x in (ALL, BOX)),
+    *((30, "curriculum", "power", x, SMOOTH, "EIPO", ">") for x in (ALL, BOX)),
 ]
 
 
 def promise(task):
     """The promise of Eq. (3) in the form of CLAIMS: pi does the task as well as the pi' of its own
-    run, on less power. On velocity alpha hardly moves, and it is no claim.
+    run, on less power. On velocity alpha hardly moves, and it is no claim; of curriculum the rules
+    say nothing.
 
     What follows claims nothing. pi' beside PPO(0) says how good a rival pi' is, and then come the
     ratios of power that no row of CLAIMS has.
     """
+    if task == "curriculum":
+        return
     score = score_of(task)
     same, less = ("", "") if task == "velocity" else ("no worse", "<")
     yield "(3)", task, score, ALL, "EIPO", "pi' of EIPO", same
@@ -121,13 +136,15 @@ def compare(x, y, ratio=False):
 def verdict(compared, claimed, margin):
     """What audit/rules.md says of a Comparison.
 
-    claimed: ">" or "<" (left is above right, or below), "similar", "no worse" (left is not below
-             right by more than the margin), or "", on which there is no verdict
+    claimed: ">" or "<" (left is above right, or below), "similar", "no worse" or "no more" (left is
+             not below right, or not above it, by more than the margin), or "", which has no verdict
     margin:  of the difference, or of the log of the ratio
     """
     if not claimed:
         return ""
     low, high = compared.wide
+    if claimed == "no more":  # which is "no worse" of right against left
+        claimed, low, high = "no worse", -high, -low
     within = -margin < compared.narrow[0] and compared.narrow[1] < margin
     if claimed == "similar":
         outside = low > margin or high < -margin
@@ -149,17 +166,26 @@ def paired(kinds, left, right):
     return [left[seed] for seed in seeds], [right[seed] for seed in seeds]
 
 
+def asked(e, commands):
+    """Which episodes e ask for some commands, as CLAIMS has them, (n,) bool."""
+    v_x = e["asked_v_x"]
+    if commands in (BOX, FAST, TURNING):  # the latter two by half of the greatest, of Figure 5
+        yaw = np.abs(e["asked_yaw"])
+        box, fast, turning = (np.abs(v_x) <= 1) & (yaw <= 1), v_x >= 2.5, yaw >= 2.5
+        return {BOX: box, FAST: fast & ~turning, TURNING: turning & ~fast}[commands]
+    low, high = commands or (-np.inf, np.inf)
+    return (v_x > low - 0.01) & (v_x < high + 0.01)
+
+
 def decide(arms, name, claimed, commands=ALL):
     """The Comparison of two arms by one of evaluate.numbers, or None, and the verdict.
 
-    arms: of `paired`; commands: v_x from ... to ... [m/s]
+    arms: of `paired`; commands: as in CLAIMS
     """
-    low, high = commands
 
     def number(run):
         e = tables.evaluation(run.episodes)
-        mine = (e["asked_v_x"] > low - 0.01) & (e["asked_v_x"] < high + 0.01)
-        return evaluate.numbers(tables.where(mine, e))[name]
+        return evaluate.numbers(tables.where(asked(e, commands), e))[name]
 
     if len(arms[0]) < 3:
         return None, "not tested"
@@ -197,8 +223,8 @@ def group_lines(group, kinds):
     task = task_of(group)
     claims = [claim for claim in CLAIMS if claim[1] == task]
     for number, _, name, commands, left, right, claimed in [*claims, *promise(task)]:
-        where = f", {commands}" if commands == EVERY else f", {commands[0]} to {commands[1]} m/s"
-        where = "" if commands == ALL else where
+        words = commands if isinstance(commands, str) else "{} to {} m/s".format(*commands)
+        where = words and f", {words}"
         what = f"{group}, {name}{where}: {left} {'/' if name in RATIOS else '-'} {right}"
         arms = paired(kinds, left, right)
         if commands == EVERY:

@@ -75,6 +75,9 @@ def test_runs_are_paired_by_seed():
         ("no worse", (-0.9, 9), (-0.8, 8), "holds"),
         ("no worse", (-1.1, 9), (-0.8, 8), "undecided"),
         ("no worse", (-9, -1.1), (-8, -1.2), "reversed"),
+        ("no more", (-9, 0.9), (-8, 0.8), "holds"),
+        ("no more", (-9, 1.1), (-8, 0.8), "undecided"),
+        ("no more", (1.1, 9), (1.2, 8), "reversed"),
         ("", (0.1, 9), (0.2, 8), ""),
     ],
 )
@@ -169,6 +172,45 @@ def test_commands_that_count():
     left, right = ([made(seed=i, **columns) for i in range(3)] for _ in range(2))
     compared, _ = claims.decide((left, right), "performance", ">", (0.1, 0.5))
     assert compared.means == pytest.approx((0.3, 0.3))
+
+
+def test_rows_of_the_curriculum():
+    """Four commands (v_x, yaw rate): (0, 0) in the start box, (3, 0) fast, (0, 4) turning, and
+    (3, 4), which is neither of the last two alone.
+
+    EIPO scores 0.9, 0.6, 0.2 and 0, a mean of 0.425, and the shaped reward 0.9, 0.3, 0.4 and 0,
+    a mean of 0.4. Power is 100 W, 125 W and, smooth, 110 W: ratios of 0.8, 0.88 and 1.1.
+    """
+
+    def three(scores, power, **settings):
+        e = dict(
+            asked_v_x=[0, 3, 0, 3], asked_yaw=[0, 0, 4, 4], performance=scores, power=4 * [power]
+        )
+        return [made(f"s{seed}", "curriculum", seed=seed, **e, **settings) for seed in SEEDS]
+
+    eipo, shaped = (0.9, 0.6, 0.2, 0), (0.9, 0.3, 0.4, 0)
+    runs = three(eipo, 100.0), three(eipo, 110.0, aux="smooth")
+    runs += (three(shaped, 125.0, algo="ppo", lam=0, reward="shaped"),)
+    runs += (three((0.1, 0.1, 0.1, 0.1), 90.0, algo="ppo", lam=0.005),)
+    kinds = tables.by_kind([run for arm in runs for run in arm])
+    lines = list(claims.claim_lines({"curriculum, 2000 iterations": kinds}))
+    found = [row(lines, 26, "start box", what) for what in ("- EIPO", "- PPO(0) shaped")]
+    assert [cells[4:] for cells in found] == [
+        ["0.1000 and 0.9000", "-0.8000 [-0.8000, -0.8000]", "holds"]
+    ] * 2
+    assert row(lines, 27, "performance: EIPO")[4:] == [
+        "0.4250 and 0.4000",
+        "+0.0250 [+0.0250, +0.0250]",
+        "holds",
+    ]
+    assert row(lines, 27, "power: EIPO")[5:] == ["x 0.80 [0.80, 0.80]", "holds"]
+    assert row(lines, 28, "high yaw rate")[4:6] == [
+        "0.2000 and 0.4000",
+        "-0.2000 [-0.2000, -0.2000]",
+    ]
+    assert row(lines, 28, "high v_x")[4:6] == ["0.6000 and 0.3000", "+0.3000 [+0.3000, +0.3000]"]
+    assert row(lines, 29, "power: ")[5:] == ["x 0.88 [0.88, 0.88]", "holds, within the margin"]
+    assert row(lines, 30, "power: ")[5:] == ["x 1.10 [1.10, 1.10]", "holds, within the margin"]
 
 
 def test_runs_with_more_episodes_count_as_much():
