@@ -14,7 +14,7 @@ import evaluate
 import go1
 import go1_env
 import tasks
-from docs import losses
+from docs import gait, losses
 from networks import MLP
 from runtime import run_folder
 
@@ -264,3 +264,40 @@ def test_the_table_of_deploy_md(capsys, monkeypatch):
     assert shown["joint damping 1"][2] < 0.7 * speed
     for name in few[2:]:
         assert shown[name][2] == pytest.approx(speed, rel=0.2)
+
+
+def test_numbers_of_a_gait():
+    """A trot: FR and RL stand in every other step of seven, FL and RR in the others. So each
+    diagonal does the same always, and neighbours never. Each foot is set down 3 times in 3 s, and
+    half of 28 feet stand. Left feet are at 12 and 14 cm, right ones at -10 and -12: on average
+    24 cm apart.
+    """
+    even = np.arange(7) % 2 == 0
+    stands = np.stack([~even, even, even, ~even], -1)[:, None]
+    feet = np.tile([(0, -0.10), (0, 0.12), (0, -0.12), (0, 0.14)], (7, 1, 1, 1))
+    found = gait.numbers(np.full((7, 1), 0.5), np.full((7, 1), 100.0), stands, feet)
+    assert found == pytest.approx((0.5, 100, 1, 0.5, 1, 0, 0.24))
+
+
+@pytest.mark.go1
+def test_gaits_are_drawn_and_printed(tmp_path, capsys, monkeypatch):
+    """A row for each run and speed, and a picture. Asked for more, a robot is faster and draws
+    more. What cannot be compared is refused in one line, and nothing is written.
+    """
+    monkeypatch.setattr(gait, "NUM_ROBOTS", 4)
+    out = tmp_path / "gait.png"
+    run, to = str(ROOT / "results/flat"), ["--out", str(out)]
+    assert gait.main([run, *to, "--v-x", "0.2", "1"]) == 0
+    head, _, slow, fast = (
+        line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()
+    )
+    assert (head[:2], slow[1], fast[1]) == (["run", "asked"], "0.2 m/s", "1 m/s")
+    assert all(float(slow[i].split()[0]) < float(fast[i].split()[0]) for i in (2, 3))
+    assert out.read_bytes()[:4] == b"\x89PNG"
+    out.unlink()
+    assert gait.main([str(ROOT / "results/velocity"), *to]) == 2
+    assert "is of velocity, whose robots are not asked" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        gait.main([run, *to, "--v-x", "nan"])
+    assert "--v-x is nan" in capsys.readouterr().err
+    assert not out.exists()
