@@ -253,15 +253,20 @@ def shown(compared, name):
     return means, f"{center} [{low}, {high}]"
 
 
+def per_metre(mean):
+    """Energy per metre of `tables.means` as text."""
+    return f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"
+
+
 def summary(runs):
     """Yields a line of Markdown for each kind of run, with what one can keep in mind."""
     for group, kinds in by_group(runs).items():
-        yield f"| {group} | {HEADINGS[score_of(group)]} | power | fell | seeds |"
-        yield "|---" * 5 + "|"
+        yield f"| {group} | {HEADINGS[score_of(group)]} | power | energy | fell | seeds |"
+        yield "|---" * 6 + "|"
         for kind, arm in kinds.items():
             _, mean = tables.means(arm)
-            score, power, fell = (mean[x] for x in (score_of(group), "power", "fell"))
-            yield f"| {kind} | {score:.2f} | {power:.0f} W | {100 * fell:.1f} % | {len(arm)} |"
+            cells = [f"{mean[score_of(group)]:.2f}", f"{mean['power']:.0f} W", per_metre(mean)]
+            yield f"| {kind} | {' | '.join(cells)} | {100 * mean['fell']:.1f} % | {len(arm)} |"
 
 
 def table(runs):
@@ -280,7 +285,7 @@ def table(runs):
             scores = each[score_of(group)]
             cells = [kind, f"{scores.mean():.3f}", f"{mean['power']:.0f} W"]
             cells += [f"{100 * mean[x]:.1f} %" for x in ("fell", "fell_nominal")]
-            cells += [f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"]
+            cells += [per_metre(mean)]
             alphas = [run.metrics["alpha"][-1] for run in arm] if kind.startswith("EIPO") else []
             cells += [", ".join(f"{x:.0f}" for x in alphas)]
             yield f"| {' | '.join(cells)} | {', '.join(f'{x:.3f}' for x in scores)} |"

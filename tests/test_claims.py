@@ -147,10 +147,10 @@ def test_a_line_for_each_kind_of_run():
     assert pi == f"| EIPO | 0.011 | 101 W | 0.0 % | 0.0 % | 101 J/m | 400, 400, 400 | {each} |"
     assert prime == f"| pi' of EIPO | 0.011 | 505 W | 0.0 % | 0.0 % | 505 J/m |  | {each} |"
     head, _, *lines = claims.summary(runs + arm("velocity", power=7.0))
-    assert head == "| flat, 600 iterations | score | power | fell | seeds |"
-    assert lines[0] == "| EIPO | 0.01 | 101 W | 0.0 % | 3 |"
-    assert lines[1] == "| velocity, 1000 iterations | peak [m/s] | power | fell | seeds |"
-    assert lines[3] == "| EIPO | 3.10 | 7 W | 0.0 % | 3 |"
+    assert head == "| flat, 600 iterations | score | power | energy | fell | seeds |"
+    assert lines[0] == "| EIPO | 0.01 | 101 W | 101 J/m | 0.0 % | 3 |"
+    assert lines[1] == "| velocity, 1000 iterations | peak [m/s] | power | energy | fell | seeds |"
+    assert lines[3] == "| EIPO | 3.10 | 7 W | 7 J/m | 0.0 % | 3 |"
 
 
 def test_a_claim_about_every_command():
