@@ -110,13 +110,13 @@ def ground(rough, velocity):
     style = dict(cmap="cividis", aspect="auto", interpolation="nearest", origin="lower")
     image = above.imshow(100 * rough[::8, ::8], extent=(0, 96, 0, 6), **style)
     figure.colorbar(image, label="height [cm]")
-    above.set(xlabel="x [m]: 16 tiles of 6 m, from 0 to 15 cm", ylabel="y [m]")
+    above.set(xlabel="x [m]: 16 tiles of 4 m and their margins, from 0 to 15 cm", ylabel="y [m]")
     last = {
         "rough: 15 cm, 1 cell per metre": 100 * rough[60, -120:],
         "velocity: 5 cm, 4 cells per metre": 100 * velocity[60, -120:],
     }
     x = 0.05 * np.arange(120)
-    plot(along, "x [m] along the middle of the last tile", "height [cm]", x, last)
+    plot(along, "x [m] along the middle of the last tile and its margins", "height [cm]", x, last)
     along.set_ylim(-7, 13)
     return figure
 
