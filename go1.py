@@ -68,26 +68,33 @@ def build_model(timestep, ground):
     """
     spec = _read(MODEL).copy()
     spec.option.timestep = timestep
-    if ground is not None:
-        low, high = ground.min(), ground.max()
-        half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
-        spec.add_hfield(
-            name="ground",
-            size=[*half, high - low, 0.1],
-            nrow=ground.shape[0],
-            ncol=ground.shape[1],
-            userdata=ground.ravel(),
-        )
-        # A height field is made of prisms. A foot that sinks in too deep is pushed out of one prism
-        # sideways into the next and stays stuck. So the feet's contacts are as stiff as a timestep
-        # of 5 ms allows (D12).
-        for leg in LEGS:
-            spec.geom(f"{leg}_foot").solref = [0.01, 1.0]
-        floor = spec.geom("floor")
-        floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
-        floor.hfieldname = "ground"
-        floor.pos = [*half, low]
     model = spec.compile()
+    _refuse_another(model)
+    if ground is None:
+        return model
+    low, high = ground.min(), ground.max()
+    half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
+    spec.add_hfield(
+        name="ground",
+        size=[*half, high - low, 0.1],
+        nrow=ground.shape[0],
+        ncol=ground.shape[1],
+        userdata=ground.ravel(),
+    )
+    # A height field is made of prisms. A foot that sinks in too deep is pushed out of one prism
+    # sideways into the next and stays stuck. So the feet's contacts are as stiff as a timestep of
+    # 5 ms allows (D12).
+    for leg in LEGS:
+        spec.geom(f"{leg}_foot").solref = [0.01, 1.0]
+    floor = spec.geom("floor")
+    floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
+    floor.hfieldname = "ground"
+    floor.pos = [*half, low]
+    return spec.compile()
+
+
+def _refuse_another(model):
+    """Raise OtherRobot if go1.xml, of which the model is, and this file differ."""
     for what, parts, found, wanted in _compared(model):
         names = isinstance(wanted, list)
         both = zip_longest(found, wanted, fillvalue="missing")
@@ -95,7 +102,6 @@ def build_model(timestep, ground):
             if x != y if names else np.abs(x - y).max() > 1e-3:
                 x, y = (z if names else np.round(z, 4).tolist() for z in (x, y))
                 raise OtherRobot(f"{what} {part} is {x} in {MODEL.name} and {y} in go1.py")
-    return model
 
 
 def _of_legs(*parts):

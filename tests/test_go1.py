@@ -297,6 +297,14 @@ def test_another_robot_is_refused(rewrite, edit, there, here):
 
 
 @pytest.mark.go1
+def test_another_robot_is_refused_on_hills_too(rewrite):
+    """Before the feet, which are found by their names, get their contacts."""
+    rewrite(lambda xml: xml.replace("RL_foot", "RL_paw"))
+    with pytest.raises(go1.OtherRobot, match="RL_paw"):
+        go1.build_model(0.005, np.ones((5, 5)) + np.eye(5))
+
+
+@pytest.mark.go1
 def test_another_robot_is_one_line_and_nothing_is_written(rewrite, tmp_path, capsys):
     """Before it trains, and not after all of its robots fell."""
     rewrite(edited('damping="0"', 'damping="0.5"'))
