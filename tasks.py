@@ -5,7 +5,7 @@ and `task_config` puts both together. A setting that is a range is drawn anew fo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -227,20 +227,3 @@ class Config:
 def task_config(task="flat", **changes):
     """The Config of a task, with changes."""
     return Config(**dict(task=task) | TASKS[task].world | changes)
-
-
-def tuples(settings):
-    """The settings with lists turned into tuples, which neither argparse nor JSON makes."""
-    return {name: tuple(x) if isinstance(x, list) else x for name, x in settings.items()}
-
-
-def read_config(settings):
-    """The Config of a dict that comes from JSON.
-
-    ValueError if its fields are not those of Config, or if there is no such task.
-    """
-    if other := {f.name for f in fields(Config)} ^ settings.keys():
-        raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
-    if settings["task"] not in TASKS:
-        raise ValueError(f"there is no task {settings['task']}")
-    return Config(**tuples(settings))

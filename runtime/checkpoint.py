@@ -10,9 +10,8 @@ import numpy as np
 
 import eipo
 import go1
-import tasks
 from runtime import jax_setup, run_folder
-from runtime.cli import Refused
+from runtime.cli import Refused, tuples
 
 
 def saved(env):
@@ -51,7 +50,7 @@ def load_settings(path):
         raise Refused(f"{path} is of an older version: commit 31a2f37 of this project continues it")
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
-        env_cfg, cfg = tasks.read_config(kept["env"]), tasks.tuples(kept["learner"])
+        env_cfg, cfg = run_folder.read_config(kept["env"]), tuples(kept["learner"])
         cfg = eipo.Config(**cfg)
     run_folder.refuse_other_robot(path, kept.get("robot"))
     return env_cfg, cfg, kept["jax_threads"], kept["jax"]

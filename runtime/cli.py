@@ -66,6 +66,11 @@ def misfit(values, limits):
     return None
 
 
+def tuples(settings):
+    """The settings with lists turned into tuples, which neither argparse nor JSON makes."""
+    return {name: tuple(x) if isinstance(x, list) else x for name, x in settings.items()}
+
+
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
     expected = isinstance(error, Refused | OtherRobot | OSError)

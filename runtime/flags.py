@@ -16,7 +16,7 @@ import go1
 import tasks
 import terrain
 from ppo import LOG_STD_RANGE, LR_RANGE
-from runtime.cli import COUNT, SEED, Parser, Refused, misfit
+from runtime.cli import COUNT, SEED, Parser, Refused, misfit, tuples
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def parse(argv):
             text = comment + f" (default: {', '.join(defaults)})" * bool(defaults)
             flag = "--" + name.replace("_", "-")
             group.add_argument(flag, help=text.replace("%", "%%"), **kind_of(by_name[name]))
-    given = tasks.tuples(vars(parser.parse_args(argv)))
+    given = tuples(vars(parser.parse_args(argv)))
     return [{name: given[name] for name in describe(c) if name in given} for c in GROUPS.values()]
 
 

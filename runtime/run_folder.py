@@ -19,7 +19,7 @@ import re
 import shlex
 import subprocess
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from importlib.metadata import version
 from pathlib import Path
 
@@ -29,7 +29,7 @@ import go1
 import go1_env
 import policy
 import tasks
-from runtime.cli import Refused, warn
+from runtime.cli import Refused, tuples, warn
 
 try:
     import fcntl
@@ -160,6 +160,18 @@ def save_policy(path, params, env_cfg, about=()):
     replace_file(path, lambda file: policy.save(file, pi))
 
 
+def read_config(settings):
+    """The tasks.Config of a dict that comes from JSON.
+
+    ValueError if its fields are not those of tasks.Config, or if there is no such task.
+    """
+    if other := {f.name for f in fields(tasks.Config)} ^ settings.keys():
+        raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
+    if settings["task"] not in tasks.TASKS:
+        raise ValueError(f"there is no task {settings['task']}")
+    return tasks.Config(**tuples(settings))
+
+
 def load_policy(path):
     """The Policy in a policy.npz, and the tasks.Config of its world. Its robot must be ours."""
     with reading(path):
@@ -167,6 +179,6 @@ def load_policy(path):
         other = [name for name, x in robot().items() if not np.array_equal(getattr(pi, name), x)]
         if other:
             raise ValueError(f"its robot has another {', '.join(other)}")
-        env_cfg = tasks.read_config(pi.config)
+        env_cfg = read_config(pi.config)
     refuse_other_robot(path, pi.about.pop("robot", None))
     return pi, env_cfg
