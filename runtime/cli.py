@@ -78,7 +78,8 @@ def complaint(error):
 
 
 def program(name):
-    """Let a main(argv) return 2 after a line on stderr if it is refused, and 130 after Ctrl-C.
+    """Let a main(argv) return 2 after a line on stderr if it is refused, 130 after Ctrl-C, and 1 if
+    who reads what it prints has closed the pipe, as `head` does.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its
     traceback.
@@ -91,9 +92,15 @@ def program(name):
                 if hasattr(stream, "reconfigure"):  # a console may not know a path's letters
                     stream.reconfigure(errors="backslashreplace")
             try:
-                return main(argv)
+                status = main(argv)
+                sys.stdout.flush()
+                return status
             except KeyboardInterrupt:
                 return 130
+            except BrokenPipeError:
+                # what is left in its buffer would fail again when Python ends
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return 1
             except Exception as error:
                 if (line := complaint(error)) is None:
                     raise

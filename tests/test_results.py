@@ -786,3 +786,13 @@ def test_weights_of_ppo_without_energy_alone():
     rows, figure = weights.weights(seeds("a", [1.4], [400], algo="ppo", lam=0.0))
     figure.draw_without_rendering()
     assert figure.axes[0].lines[1].get_xdata() == [0.0001 / 3] and len(rows) == 1
+
+
+def test_a_pipe_that_is_closed_early_is_no_error():
+    """`python -m results summary ... | head -1` reads a line and closes the pipe."""
+    command = [sys.executable, "-m", "results", "summary", "results/rough"]
+    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    with subprocess.Popen(command, cwd=ROOT, **pipes) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
