@@ -3,6 +3,7 @@
 `weights` draws it, and `answers` has it as tables, by section 10 of audit/rules.md.
 """
 
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,13 @@ from matplotlib.ticker import NullLocator
 from scipy import stats
 
 from results import tables
-from results.figures import BOTTOM, LABELS, log_axis, panels_by, style
+from results.figures import BOTTOM, LABELS, log_axis, panels_by
 from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of, task_of
 
 PPO = KINDS[1:]
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
+BLUES = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195"  # of EIPO, one for each start
 
 
 def last_lam(run):
@@ -58,7 +60,7 @@ def weights(runs):
             top.set_ylim(bottom=BOTTOM[task_of(group)])
         draw(bottom, mine, "power", zero)
         top.set_ylabel(LABELS[score_of(group)])
-        bottom.set(ylabel=LABELS["power"], xlabel="lambda of PPO; of EIPO lambda_0, to 1 / alpha")
+        bottom.set(ylabel=LABELS["power"], xlabel="lambda (of EIPO from start to end)")
         log_axis(bottom)
         bottom.set_xscale("log")
         labels = [f"{lam:g}" for lam in LAMBDAS]
@@ -77,15 +79,16 @@ def draw(axes, rows, column, zero):
     means = {lam: np.mean([row[column] for row in mine]) for lam, mine in by_lam}
     axes.plot([lam or zero for lam in means], list(means.values()), color=BROWN, linewidth=1)
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
-    axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, the line is the mean of its seeds")
+    axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
     eipo = [row for row in rows if row["kind"].startswith("EIPO")]
-    for kind, mine in tables.grouped(eipo, "kind").items():
+    for (kind, mine), color in zip(tables.grouped(eipo, "kind").items(), cycle(BLUES)):
         label = f"EIPO from {mine[0]['lam']:g}" if kind == "EIPO" else kind
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
             arrow = dict(marker=">" if end > start else "<", markevery=[1], markersize=5)
-            look = style(kind) | arrow | dict(linewidth=1, alpha=0.7)
-            axes.plot([start, end], [row[column]] * 2, **look, label="" if i else label)
+            look = dict(color=color, linewidth=1, alpha=0.8)
+            axes.plot([start, end], [row[column]] * 2, **arrow, **look, label="" if i else label)
+            axes.plot([start], [row[column]], "|", **look)
     axes.grid(alpha=0.3)
     return means
 
