@@ -2,7 +2,8 @@
 where, and prints a table. All are asked for the same speeds.
 
 Sixteen robots of each run start from the nominal pose and walk for four seconds, on friction and
-payload that are drawn as in training. The first second does not count, nor do robots that fall.
+payload that are drawn as in training. The first second does not count, nor do robots whose episode
+ends early.
 """
 
 import os
@@ -20,7 +21,7 @@ import go1
 import tasks
 from play import names_of
 from runtime import run_folder
-from runtime.cli import Parser, Refused, misfit, program
+from runtime.cli import Parser, Refused, misfit, program, say
 
 NUM_ROBOTS, SECONDS, SHOWN = 16, 3.0, 1.0  # SECONDS that count, SHOWN in the picture [s]
 ROWS = ("FL", "FR", "RL", "RR")  # from the top of a picture of footfalls to its bottom
@@ -32,21 +33,19 @@ HEAD = "run", "asked", "moves", "power", "steps", "stands", "diagonals", "sides"
 def walk(pi, env_cfg, v_x):
     """What robots do that are asked for v_x [m/s]: speed ahead [m/s] and power [W], (T, N) each,
     whether each foot stands, (T, N, 4) bool, and where it is, (T, N, 4, 2) [m] from the trunk's
-    middle, ahead and to the left. N is the number of robots that did not fall.
+    middle, ahead and to the left. N is the number of robots whose episodes did not end early.
     """
     env = evaluate.make_env(env_cfg, np.tile([v_x, 0.0, 0.0], (NUM_ROBOTS, 1)))
     obs, _ = env.reset(evaluate.SEED)
-    fell, before, steps = np.zeros(NUM_ROBOTS, bool), round(1 / env.period), []
+    over, before, steps = np.zeros(NUM_ROBOTS, bool), round(1 / env.period), []
     for t in range(before + round(SECONDS / env.period)):
         obs, _, terminated, _, info = env.step(pi.mean(obs))
-        fell |= terminated
+        over |= terminated
         if t >= before:
             feet = go1.leg_points(env.qpos[:, 7:])[:, 1::2, :2]
             stands = env.contacts[:, go1.FEET] > 0
             steps.append((info["log"]["v_x"], info["log"]["power"], stands, feet))
-    if fell.all():
-        raise Refused(f"asked for {v_x:g} m/s every robot falls: take another --v-x")
-    return [np.stack(x)[:, ~fell] for x in zip(*steps, strict=True)]
+    return [np.stack(x)[:, ~over] for x in zip(*steps, strict=True)]
 
 
 def numbers(v_x, power, stands, feet):
@@ -59,7 +58,8 @@ def numbers(v_x, power, stands, feet):
     steps = (stands[1:] & ~stands[:-1]).sum() / (stands[0].size * SECONDS)
     fr, fl, rr, rl = np.moveaxis(stands, -1, 0)
     diagonals, sides = np.mean([fr == rl, fl == rr]), np.mean([fr == fl, rr == rl])
-    y = [feet[..., i, 1][stands[..., i]].mean() for i in range(4)]
+    # of a foot that never stands there is no mean
+    y = [np.mean(y[on]) if on.any() else np.nan for y, on in zip(feet.T[1], stands.T, strict=True)]
     apart = (y[1] + y[3] - y[0] - y[2]) / 2
     return v_x.mean(), power.mean(), steps, stands.mean(), diagonals, sides, apart
 
@@ -95,6 +95,8 @@ def main(argv):
     args = parser.parse_args(argv)
     if line := misfit(dict(v_x=args.v_x), LIMITS):
         parser.error(line)
+    if args.out.is_dir() or not args.out.parent.is_dir():
+        parser.error(f"--out is {args.out}: it must be a file in a folder that exists")
     loaded = [evaluate.load(run, nominal=True) for run in args.runs]
     for run, (_, env_cfg) in zip(args.runs, loaded, strict=True):
         if not tasks.TASKS[env_cfg.task].commands().example.any():
@@ -102,14 +104,20 @@ def main(argv):
     names = names_of(args.runs, [pi for pi, _ in loaded])
     figure = Figure(figsize=(5 * len(args.v_x), 2.1 * len(loaded)), layout="constrained")
     panels = figure.subfigures(len(loaded), len(args.v_x), squeeze=False)
-    print("| " + " | ".join(HEAD) + " |\n" + "|---" * len(HEAD) + "|")
+    say("| " + " | ".join(HEAD) + " |\n" + "|---" * len(HEAD) + "|")
     for name, (pi, env_cfg), line in zip(names, loaded, panels, strict=True):
         for v_x, panel in zip(args.v_x, line, strict=True):
             walked = walk(pi, env_cfg, v_x)
+            if not walked[0].size:
+                say(f"| {name} | {v_x:g} m/s | every episode ends early" + 7 * " | " + "|")
+                panel.suptitle(
+                    f"{name}, asked for {v_x:g} m/s: every episode ends early", fontsize=9
+                )
+                continue
             moves, power, steps, *shares, apart = numbers(*walked)
             cells = [f"{v_x:g} m/s", f"{moves:.2f} m/s", f"{power:.0f} W", f"{steps:.1f} / s"]
             cells += [f"{share:.0%}" for share in shares] + [f"{100 * apart:.0f} cm"]
-            print(f"| {name} | {' | '.join(cells)} |", flush=True)
+            say(f"| {name} | {' | '.join(cells)} |")
             title = f"{name}, asked for {v_x:g} m/s: {moves:.1f} m/s on {power:.0f} W"
             draw(panel, title, *walked[2:], env_cfg.timestep * env_cfg.physics_steps)
     run_folder.replace_file(args.out, lambda file: figure.savefig(file, dpi=150, format="png"))

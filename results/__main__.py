@@ -2,7 +2,7 @@
 
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff alpha, as PNG and CSV in --out
     weights   RUN...   a figure of PPO at each lambda and EIPO from each lambda_0, and who is good
-    summary   RUN...   a line for each kind of run: score, power and falls
+    summary   RUN...   a line for each kind of run: score, power, energy and falls
     table     RUN...   the same with more, for each seed, and on curriculum by region of commands
     claims             the paper's claims of runs in --results, each with a verdict by rule
     add       FOLDER   play the policies of run folders, for the tables of --results

@@ -169,7 +169,7 @@ def paired(kinds, left, right):
 def asked(e, commands):
     """Which episodes e ask for some commands, as CLAIMS has them, (n,) bool."""
     v_x = e["asked_v_x"]
-    if commands in (BOX, FAST, TURNING):  # the latter two by half of the greatest, of Figure 5
+    if commands in (BOX, FAST, TURNING):
         yaw = np.abs(e["asked_yaw"])
         box, fast, turning = (np.abs(v_x) <= 1) & (yaw <= 1), v_x >= 2.5, yaw >= 2.5
         return {BOX: box, FAST: fast & ~turning, TURNING: turning & ~fast}[commands]

@@ -34,7 +34,7 @@ LABELS = dict(
 
 
 def style(name):
-    """Color and marker of a kind of run in every figure.
+    """Color and marker of a kind of run in every figure but that of `weights`.
 
     EIPO is blue, PPO yellow to brown by lambda, in five shades that one can tell apart: of 0, up to
     0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker.

@@ -17,7 +17,7 @@ from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of, task_of
 PPO = KINDS[1:]
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
-BLUES = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195"  # of EIPO, one for each start
+COLOURS = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195"  # of the kinds of EIPO, in turn
 
 
 def last_lam(run):
@@ -81,7 +81,7 @@ def draw(axes, rows, column, zero):
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
     eipo = [row for row in rows if row["kind"].startswith("EIPO")]
-    for (kind, mine), color in zip(tables.grouped(eipo, "kind").items(), cycle(BLUES)):
+    for (kind, mine), color in zip(tables.grouped(eipo, "kind").items(), cycle(COLOURS)):
         label = f"EIPO from {mine[0]['lam']:g}" if kind == "EIPO" else kind
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))

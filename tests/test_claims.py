@@ -175,8 +175,8 @@ def test_commands_that_count():
 
 
 def test_rows_of_the_curriculum():
-    """Four commands (v_x, yaw rate): (0, 0) in the start box, (3, 0) fast, (0, 4) turning, and
-    (3, 4), which is neither of the last two alone.
+    """Four commands (v_x, yaw rate): (-1, 1) on the edge of the start box, (2.5, 0) just fast,
+    (0, -2.5) just turning, and (3, 4), which is neither of the last two alone.
 
     EIPO scores 0.9, 0.6, 0.2 and 0, a mean of 0.425, and the shaped reward 0.9, 0.3, 0.4 and 0,
     a mean of 0.4. Power is 100 W, 125 W and, smooth, 110 W: ratios of 0.8, 0.88 and 1.1.
@@ -184,7 +184,10 @@ def test_rows_of_the_curriculum():
 
     def three(scores, power, **settings):
         e = dict(
-            asked_v_x=[0, 3, 0, 3], asked_yaw=[0, 0, 4, 4], performance=scores, power=4 * [power]
+            asked_v_x=[-1, 2.5, 0, 3],
+            asked_yaw=[1, 0, -2.5, 4],
+            performance=scores,
+            power=4 * [power],
         )
         return [made(f"s{seed}", "curriculum", seed=seed, **e, **settings) for seed in SEEDS]
 
