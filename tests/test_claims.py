@@ -175,7 +175,7 @@ def test_commands_that_count():
 
 
 def test_rows_of_the_curriculum():
-    """Four commands (v_x, yaw rate): (-1, 1) on the edge of the start box, (2.5, 0) just fast,
+    """Four commands (v_x, yaw rate): (1, -1) on the edge of the start box, (2.5, 0) just fast,
     (0, -2.5) just turning, and (3, 4), which is neither of the last two alone.
 
     EIPO scores 0.9, 0.6, 0.2 and 0, a mean of 0.425, and the shaped reward 0.9, 0.3, 0.4 and 0,
@@ -184,8 +184,8 @@ def test_rows_of_the_curriculum():
 
     def three(scores, power, **settings):
         e = dict(
-            asked_v_x=[-1, 2.5, 0, 3],
-            asked_yaw=[1, 0, -2.5, 4],
+            asked_v_x=[1, 2.5, 0, 3],
+            asked_yaw=[-1, 0, -2.5, 4],
             performance=scores,
             power=4 * [power],
         )
