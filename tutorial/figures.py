@@ -112,12 +112,12 @@ def ground(rough, velocity):
     figure.colorbar(image, label="height [cm]")
     above.set(xlabel="x [m]: 16 tiles of 4 m and their margins, from 0 to 15 cm", ylabel="y [m]")
     last = {
-        "rough: 15 cm, 1 cell per metre": 100 * rough[60, -120:],
-        "velocity: 5 cm, 4 cells per metre": 100 * velocity[60, -120:],
+        "rough: 15 cm, 1 cell per metre": 100 * rough[52, -120:],
+        "velocity: 5 cm, 4 cells per metre": 100 * velocity[52, -120:],
     }
     x = 0.05 * np.arange(120)
-    plot(along, "x [m] along the middle of the last tile and its margins", "height [cm]", x, last)
-    along.set_ylim(-7, 13)
+    plot(along, "x [m] along the last tile and its margins", "height [cm]", x, last)
+    along.set_ylim(-8, 8)
     return figure
 
 
