@@ -117,7 +117,7 @@ def ground(rough, velocity):
     }
     x = 0.05 * np.arange(120)
     plot(along, "x [m] along the last tile and its margins", "height [cm]", x, last)
-    along.set_ylim(-8, 8)
+    along.set_ylim(-8, 14)
     return figure
 
 
