@@ -179,7 +179,7 @@ def test_the_loop_of_deploy_md_walks(page, timestep, steps):
     robot = Elsewhere(timestep)
     page["walk"]([0.5, 0.0, 0.0], 4.0, robot.measure, robot.apply)
     assert robot.data.time == pytest.approx(4)
-    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 3 and robot.data.qpos[2] > 0.25
+    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 3 and robot.data.qpos[2] > 0.2
 
 
 @pytest.mark.go1
@@ -193,7 +193,7 @@ def test_the_loop_of_deploy_md_survives_its_sensors(page):
         page["walk"]([0.5, 0.0, 0.0], 3.0, robot.measure, robot.apply)
         assert np.isfinite(robot.torques).all()
         assert page["pi"].frames[0].any() == (robot is gap)
-    assert np.linalg.norm(gap.data.qpos[:2]) > 0.8 and gap.data.qpos[2] > 0.25
+    assert np.linalg.norm(gap.data.qpos[:2]) > 0.8 and gap.data.qpos[2] > 0.2
     assert not np.any(blind.torques[400:])
     assert dizzy.torques[-1] == pytest.approx(-0.5 * dizzy.speeds[-1]) and dizzy.torques[-1].any()
 
@@ -261,7 +261,7 @@ def test_the_table_of_deploy_md(capsys, monkeypatch):
     assert score == pytest.approx(float(said["performance"]), abs=0.005)
     assert fell == pytest.approx(100 * float(said["fell"]), abs=0.05)
     assert power == pytest.approx(float(said["power"]), rel=0.1)  # which has falls, too
-    assert shown["joint damping 1"][2] < 0.7 * speed
+    assert shown["joint damping 1"][2] < 0.8 * speed
     for name in few[2:]:
         assert shown[name][2] == pytest.approx(speed, rel=0.2)
 
