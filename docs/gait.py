@@ -37,15 +37,15 @@ def walk(pi, env_cfg, v_x):
     """
     env = evaluate.make_env(env_cfg, np.tile([v_x, 0.0, 0.0], (NUM_ROBOTS, 1)))
     obs, _ = env.reset(evaluate.SEED)
-    over, before, steps = np.zeros(NUM_ROBOTS, bool), round(1 / env.period), []
+    over, before, seen = np.zeros(NUM_ROBOTS, bool), round(1 / env.period), []
     for t in range(before + round(SECONDS / env.period)):
         obs, _, terminated, _, info = env.step(pi.mean(obs))
         over |= terminated
         if t >= before:
             feet = go1.leg_points(env.qpos[:, 7:])[:, 1::2, :2]
             stands = env.contacts[:, go1.FEET] > 0
-            steps.append((info["log"]["v_x"], info["log"]["power"], stands, feet))
-    return [np.stack(x)[:, ~over] for x in zip(*steps, strict=True)]
+            seen.append((info["log"]["v_x"], info["log"]["power"], stands, feet))
+    return [np.stack(x)[:, ~over] for x in zip(*seen, strict=True)]
 
 
 def numbers(v_x, power, stands, feet):

@@ -170,8 +170,8 @@ def asked(e, commands):
     """Which episodes e ask for some commands, as CLAIMS has them, (n,) bool."""
     v_x = e["asked_v_x"]
     if commands in (BOX, FAST, TURNING):
-        yaw = np.abs(e["asked_yaw"])
-        box, fast, turning = (np.abs(v_x) <= 1) & (yaw <= 1), v_x >= 2.5, yaw >= 2.5
+        box = tables.inside(v_x, e["asked_yaw"], tables.start_box())
+        fast, turning = v_x >= 2.5, np.abs(e["asked_yaw"]) >= 2.5
         return {BOX: box, FAST: fast & ~turning, TURNING: turning & ~fast}[commands]
     low, high = commands or (-np.inf, np.inf)
     return (v_x > low - 0.01) & (v_x < high + 0.01)

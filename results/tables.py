@@ -299,6 +299,11 @@ def cells_of(weights):
     return dict(v_x=v_x, yaw=yaw, weight=weights[at])
 
 
+def start_box():
+    """The cells of commands with which the grid starts, as `cells_of`."""
+    return cells_of(tasks.Grid().weights)
+
+
 def inside(v_x, yaw, cells):
     """Which commands lie in any of the cells or on its edge, (n,) bool.
 
@@ -324,11 +329,10 @@ def by_region(groups):
     ended, the latter of the kinds whose runs all say so.
     """
     found = {}
-    start = cells_of(tasks.Grid().weights)
     for group, kinds in groups.items():
         found[group] = kinds
         if task_of(group) == "curriculum":
-            box = {name: [within(run, start) for run in arm] for name, arm in kinds.items()}
+            box = {name: [within(run, start_box()) for run in arm] for name, arm in kinds.items()}
             reached = {
                 name: [within(run, run.reached) for run in arm]
                 for name, arm in kinds.items()
