@@ -235,7 +235,7 @@ def test_a_senseless_number_is_one_line_and_leaves_nothing_behind(
 
 
 @pytest.mark.go1
-def test_a_line_says_what_a_number_may_be(capsys):
+def test_a_line_says_what_a_number_may_be(capsys, tmp_path):
     says = {
         "--checkpoint-every 0": "--checkpoint-every is 0: it must be at least 1 and at most 10",
         "--momentum-alpha 1.5": "--momentum-alpha is 1.5: it must be at least 0 and below 1",
@@ -245,7 +245,7 @@ def test_a_line_says_what_a_number_may_be(capsys):
         "--log-std 2": "--log-std is 2.0: it must be at least -4.0 and at most 1.0",
     }
     for given, line in says.items():
-        assert line in error_of(capsys, train.main, *given.split())
+        assert line in error_of(capsys, train.main, *given.split(), "--out", tmp_path / "run")
 
 
 SOUND = """
