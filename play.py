@@ -135,6 +135,8 @@ def main(argv):
         parser.error(line)
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
+    if args.gif and not (args.gif.suffix.lower() == ".gif" and args.gif.resolve().parent.is_dir()):
+        raise Refused(f"--gif is {args.gif}: it must end in .gif, and its folder must exist")
     loaded = [run_folder.load_policy(run / "policy.npz") for run in args.runs]
     policies, configs = zip(*loaded, strict=True)
     examples = [tasks.TASKS[env_cfg.task].commands().example for env_cfg in configs]

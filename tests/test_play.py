@@ -241,6 +241,13 @@ def test_a_senseless_number_is_one_line(capsys, given):
     assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
 
 
+@pytest.mark.parametrize("name", ["a.mp4", "a", "missing/a.gif"])
+def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(capsys, tmp_path, name):
+    """Drawing takes a while, and nothing but a GIF is written, whatever the name says."""
+    says = error_of(capsys, play.main, "results/flat", "--gif", tmp_path / name)
+    assert "must end in .gif, and its folder must exist" in says
+
+
 @pytest.mark.parametrize("given", ["", "--web", "--web --gif a.gif"])
 def test_several_runs_without_a_gif_are_refused_in_one_line(capsys, given):
     """Before anything is read: there are no such runs."""
