@@ -45,7 +45,7 @@ def reading(path):
     try:
         yield
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
-        missing = isinstance(error, FileNotFoundError)
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
         what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
         raise Refused(f"{path} {what}") from None
 
