@@ -693,7 +693,7 @@ def test_the_record_can_be_read():
     assert {place.name for place in places} >= {"flat", "rough", "velocity", "curriculum"}
     for place in places:
         runs = tables.runs([place / "*"])
-        assert len(runs) > 5 and all(run.settings["task"] == place.name for run in runs)
+        assert len(runs) > 1 and all(run.settings["task"] == place.name for run in runs)
         assert by_group(runs)
         names = {run.name for run in runs}
         for file in (tables.METRICS, tables.EPISODES, tables.SPEED):
