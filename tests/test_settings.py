@@ -19,24 +19,23 @@ from runtime.flags import Options, parse, settle
 
 
 @pytest.mark.parametrize(
-    "task, history, roughness, cells_per_m, lam, iterations, lr_alpha",
+    "task, history, roughness, cells_per_m, lam, iterations, step",
     [
-        ("flat", 5, (0.0, 0.0), 4, 0.005, 600, 0.5),
-        ("rough", 10, (0.0, 0.15), 1, 0.0002, 600, 0.01),
-        ("velocity", 10, (0.05, 0.05), 4, 0.0002, 1000, 0.01),
+        ("flat", 5, (0.0, 0.0), 4, 0.005, 600, (0.5, 0.99)),
+        ("rough", 10, (0.0, 0.15), 1, 0.0002, 600, (0.444, 0.933)),
+        ("velocity", 10, (0.05, 0.05), 4, 0.0002, 1000, (0.01, 0.99)),
     ],
 )
-def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, iterations, lr_alpha):
+def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, iterations, step):
     """V-A, V-B, V-D: H and the first lambda; IV-A: roughness in m; D22. D38: 15 % of the paper's
-    4000 iterations and 10 % of its 10 000, and a larger learning rate of alpha where lambda_0 is
-    large.
+    4000 iterations and 10 % of its 10 000; alpha's learning rate and momentum.
 
     All else of the world is as on flat ground, and whatever is given wins over the paper.
     """
     env_cfg, cfg = settle(dict(task=task), {})
     same = dict(task=task, history=history, roughness=roughness, cells_per_m=cells_per_m)
     assert env_cfg == tasks.task_config(task) == tasks.Config(**same)
-    assert (cfg.lam, cfg.iterations, cfg.lr_alpha) == (lam, iterations, lr_alpha)
+    assert (cfg.lam, cfg.iterations, (cfg.lr_alpha, cfg.momentum_alpha)) == (lam, iterations, step)
     changed = dict(task=task, history=3, roughness=(0.0, 0.01), cells_per_m=2, noise=0.5)
     env_cfg, cfg = settle(changed, dict(lam=0.5))
     assert env_cfg == tasks.Config(**changed) and (cfg.lam, cfg.iterations) == (0.5, iterations)
