@@ -48,31 +48,40 @@ def weights(runs):
                 row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
                 rows.append(row | dict(lam_end=last_lam(run), score=score, power=power))
     figure, panels = panels_by("group", rows, 2)
+    labels = dict.fromkeys(label(row) for row in rows if row["kind"].startswith("EIPO"))
+    colours = dict(zip(labels, cycle(COLOURS)))  # one start has one colour in all panels
     above = [x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0]
     zero = min([*above, LAMBDAS[1]]) / 3  # where 0 stands on an axis that is logarithmic
     for group, mine, (top, bottom) in panels:
-        means = draw(top, mine, "score", zero)
+        means = draw(top, mine, "score", zero, colours)
         if means:
             best = max(means.values())
             low = best - MARGINS[score_of(group)]
             top.axhspan(low, best, color="black", alpha=0.1, linewidth=0)
         if BOTTOM.get(task_of(group), np.inf) < top.get_ylim()[1]:  # robots that stand are below
             top.set_ylim(bottom=BOTTOM[task_of(group)])
-        draw(bottom, mine, "power", zero)
+        draw(bottom, mine, "power", zero, colours)
         top.set_ylabel(LABELS[score_of(group)])
         bottom.set(ylabel=LABELS["power"], xlabel="lambda (of EIPO from start to end)")
         log_axis(bottom)
         bottom.set_xscale("log")
-        labels = [f"{lam:g}" for lam in LAMBDAS]
-        bottom.set_xticks([lam or zero for lam in LAMBDAS], labels, fontsize=6, rotation=45)
+        ticks = [f"{lam:g}" for lam in LAMBDAS]
+        bottom.set_xticks([lam or zero for lam in LAMBDAS], ticks, fontsize=6, rotation=45)
         bottom.xaxis.set_minor_locator(NullLocator())
         bottom.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3), ncols=2, fontsize=7)
     return rows, figure
 
 
-def draw(axes, rows, column, zero):
+def label(row):
+    """What the figure calls a kind of EIPO: the paper's lambda_0 is said, too."""
+    return f"EIPO from {row['lam']:g}" if row["kind"] == "EIPO" else row["kind"]
+
+
+def draw(axes, rows, column, zero, colours):
     """Draw a column of the rows of one group over lambda, with 0 at `zero`, since its axis is
     logarithmic. Returns the means of PPO over its seeds, {lambda: mean}.
+
+    colours: {label of a kind of EIPO: colour}
     """
     ppo = [row for row in rows if row["kind"] in PPO]
     by_lam = sorted(tables.grouped(ppo, "lam").items())
@@ -81,13 +90,13 @@ def draw(axes, rows, column, zero):
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
     eipo = [row for row in rows if row["kind"].startswith("EIPO")]
-    for (kind, mine), color in zip(tables.grouped(eipo, "kind").items(), cycle(COLOURS)):
-        label = f"EIPO from {mine[0]['lam']:g}" if kind == "EIPO" else kind
+    for mine in tables.grouped(eipo, "kind").values():
+        name = label(mine[0])
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
             arrow = dict(marker=">" if end > start else "<", markevery=[1], markersize=5)
-            look = dict(color=color, linewidth=1, alpha=0.8)
-            axes.plot([start, end], [row[column]] * 2, **arrow, **look, label="" if i else label)
+            look = dict(color=colours[name], linewidth=1, alpha=0.8)
+            axes.plot([start, end], [row[column]] * 2, **arrow, **look, label="" if i else name)
             axes.plot([start], [row[column]], "|", **look)
     axes.grid(alpha=0.3)
     return means

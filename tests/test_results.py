@@ -266,6 +266,15 @@ def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     assert np.allclose(band.get_xy()[1] + np.array([0, band.get_height()]), [1.42, 1.45])
 
 
+def test_a_start_of_eipo_has_one_colour_on_all_tasks():
+    """On flat ground there are two starts, and the second one is the first of rough ground."""
+    runs = seeds("a", [1.4], [200], lam=0.005) + seeds("b", [1.3], [100], lam=0.02)
+    runs += seeds("c", [1.0], [90], task="rough", lam=0.02)
+    _, figure = weights.weights(runs)
+    (_, _, flat, _, strict, _), (_, _, rough, _) = (axes.lines for axes in figure.axes[:2])
+    assert flat.get_color() != strict.get_color() == rough.get_color()
+
+
 def test_fig6_has_a_line_for_each_seed_and_their_mean():
     """Speeds 1, 2 and 3, 4 at 0.17 and 0.51 s: the mean is 2, 3."""
     time = np.array([0.17, 0.51])
@@ -705,15 +714,16 @@ def test_the_record_can_be_read():
 
 
 TRADEOFF = "flat4000-*", "flat-eipo-lam0.005-*", "flat-ppo-lam0-*", "flat-ppo-lam0.00[25]-*"
+WEIGHTS = "flat/flat-*lam*seed1?", "flat/new-*", "rough/new-*"
 
 
 @pytest.mark.parametrize(
-    "name, runs", [("tradeoff", TRADEOFF), ("weights", ["flat-*lam*seed1?", "new-*"])]
+    "picture, runs", [("flat/tradeoff", [f"flat/{x}" for x in TRADEOFF]), ("weights", WEIGHTS)]
 )
-def test_a_committed_picture_comes_from_the_committed_tables(tmp_path, name, runs):
-    runs = [str(RESULTS / "flat" / run) for run in runs]
-    assert main([name, *runs, "--out", str(tmp_path / "new")]) == 0
-    committed = (RESULTS / f"flat/{name}.csv").read_text()
+def test_a_committed_picture_comes_from_the_committed_tables(tmp_path, picture, runs):
+    name = Path(picture).name
+    assert main([name, *(str(RESULTS / run) for run in runs), "--out", str(tmp_path / "new")]) == 0
+    committed = (RESULTS / f"{picture}.csv").read_text()
     assert (tmp_path / f"new/{name}.csv").read_text() == committed
     with Image.open(tmp_path / f"new/{name}.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
