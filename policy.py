@@ -105,7 +105,7 @@ def save(file, pi):
     for net, layers in (("actor", pi.actor), ("estimator", pi.estimator)):
         for i, (weights, bias) in enumerate(layers):
             arrays |= {f"{net}.{i}.W": weights, f"{net}.{i}.b": bias}
-    np.savez(file, **arrays, config=json.dumps(pi.config | dict(about=pi.about)))
+    np.savez_compressed(file, **arrays, config=json.dumps(pi.config | dict(about=pi.about)))
 
 
 def load(path):
