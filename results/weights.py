@@ -86,7 +86,9 @@ def draw(axes, rows, column, zero, colours):
     ppo = [row for row in rows if row["kind"] in PPO]
     by_lam = sorted(tables.grouped(ppo, "lam").items())
     means = {lam: np.mean([row[column] for row in mine]) for lam, mine in by_lam}
-    axes.plot([lam or zero for lam in means], list(means.values()), color=BROWN, linewidth=1)
+    line = sorted({*LAMBDAS, *means})  # it has a gap where a weight was not run
+    y = [means.get(lam, np.nan) for lam in line]
+    axes.plot([lam or zero for lam in line], y, color=BROWN, linewidth=1)
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
     eipo = [row for row in rows if row["kind"].startswith("EIPO")]

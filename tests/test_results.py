@@ -248,18 +248,19 @@ def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arr
 
 
 def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
-    """lambda 0 stands left of 0.0001, and EIPO's arrow goes from 0.02 to 1 / 200, leftwards, with a
-    stroke where it starts.
+    """lambda 0 stands left of 0.0001, and the line ends where no weight was run. EIPO's arrow goes
+    from 0.02 to 1 / 200, leftwards, with a stroke where it starts.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
-    runs += seeds("b", [1.3], [100], algo="ppo", lam=0.005)
+    runs += seeds("b", [1.3], [100], algo="ppo", lam=0.0001)
     runs += seeds("c", [1.44], [200], lam=0.02)
     rows, figure = weights.weights(runs)
     assert [(row["lam"], row["lam_end"]) for row in rows if row["run"] == "c0"] == [(0.02, 0.005)]
     figure.draw_without_rendering()
     line, dots, arrow, start = figure.axes[0].lines
-    assert np.allclose(line.get_xydata(), [[0.0001 / 3, 1.45], [0.005, 1.3]])
-    assert np.allclose(dots.get_xydata(), [[0.0001 / 3, 1.4], [0.0001 / 3, 1.5], [0.005, 1.3]])
+    assert np.allclose(line.get_xydata()[:2], [[0.0001 / 3, 1.45], [0.0001, 1.3]])
+    assert np.isnan(line.get_ydata()[2:]).all()
+    assert np.allclose(dots.get_xydata(), [[0.0001 / 3, 1.4], [0.0001 / 3, 1.5], [0.0001, 1.3]])
     assert np.allclose(arrow.get_xydata(), [[0.02, 1.44], [0.005, 1.44]])
     assert arrow.get_marker() == "<" and np.allclose(start.get_xydata(), [[0.02, 1.44]])
     (band,) = figure.axes[0].patches
