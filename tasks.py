@@ -138,8 +138,8 @@ class Task(NamedTuple):
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
 # on `velocity`. So that alpha gets somewhere in fewer iterations, it takes larger steps than the
-# paper's 0.01, but on `velocity` (D38). There standing still earns nothing, so pi soon leaves it,
-# and half as many robots are enough.
+# paper's 0.01, except on `velocity` (D38). There standing still earns nothing, so pi soon leaves
+# it, and half as many robots are enough.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",

@@ -89,7 +89,7 @@ tasks:
 {tasks}
 
 A run has 10 to 15 % of the paper's iterations, where it prints them. To make up for it alpha
-takes longer steps, but on velocity (D38). The paper's length and step:
+takes longer steps, except on velocity (D38). The paper's length and step:
   --iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99  (on velocity: --iterations 10000)
 
 [IV-C] is a section of the paper, [lab code] what its authors published, [ours] neither; D38 is an
