@@ -2,7 +2,7 @@
 
 params    {"actor", "critic", "estimator": MLP, "log_std": (A,) of the action's noise}
 D, P, A   widths of an observation, of what is privileged (true velocity) and of an action
-K         outputs, or heads, of the critic: the value of the task and, for pi, that of the cost
+K         heads of the critic, the outputs for the value of the task and, for pi, of the cost
 
 An MLP is a function of arrays. Anything that is called like one may stand in its place, as in
 `train.py` (D28). D-numbers are entries of deviations.md; the lab is the authors' group.

@@ -45,7 +45,7 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    # ((name, factor), ...): an output of the critic each, which learns factor * reward or cost
+    # ((name, factor), ...): a head of the critic each, which learns factor * reward or cost
     streams: tuple = field(metadata=dict(static=True))
 
 
@@ -54,7 +54,7 @@ def init_learner(rng, env, streams, cfg, init=init_params):
 
     rng:     np.random.Generator
     streams: what it learns from, "reward" and perhaps "cost", with a factor that makes each of
-             moderate size for the critic, which has an output for each
+             moderate size for the critic, which has a head for each
     init:    `networks.init_params`, or a function with the same signature
     """
     params = init(rng, env, len(streams), cfg)

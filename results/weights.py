@@ -52,6 +52,8 @@ def weights(runs):
     colours = dict(zip(labels, cycle(COLOURS)))  # one start has one colour in all panels
     above = [x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0]
     zero = min([*above, LAMBDAS[1]]) / 3  # where 0 stands on an axis that is logarithmic
+    for _, _, (_, bottom) in panels[1:]:
+        bottom.sharey(panels[0][2][1])  # a watt is a watt on any ground
     for group, mine, (top, bottom) in panels:
         means = draw(top, mine, "score", zero, colours)
         if means:

@@ -267,13 +267,14 @@ def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     assert np.allclose(band.get_xy()[1] + np.array([0, band.get_height()]), [1.42, 1.45])
 
 
-def test_a_start_of_eipo_has_one_colour_on_all_tasks():
+def test_a_start_of_eipo_has_one_colour_and_power_one_axis_on_all_tasks():
     """On flat ground there are two starts, and the second one is the first of rough ground."""
     runs = seeds("a", [1.4], [200], lam=0.005) + seeds("b", [1.3], [100], lam=0.02)
     runs += seeds("c", [1.0], [90], task="rough", lam=0.02)
     _, figure = weights.weights(runs)
     (_, _, flat, _, strict, _), (_, _, rough, _) = (axes.lines for axes in figure.axes[:2])
     assert flat.get_color() != strict.get_color() == rough.get_color()
+    assert figure.axes[2].get_ylim() == figure.axes[3].get_ylim()
 
 
 def test_fig6_has_a_line_for_each_seed_and_their_mean():
