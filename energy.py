@@ -65,6 +65,7 @@ def smoothness_cost(torque, action, qdd):
     Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7 ||qdd||^2.
 
     action: (..., 12) [-]        the policy's action itself, not its rate
-    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, by its length
+    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, divided by
+                                 its length in s
     """
     return 2e-4 * norm2(torque) + 1e-2 * norm2(action) + 2.5e-7 * norm2(qdd)

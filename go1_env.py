@@ -70,7 +70,7 @@ class Substeps(NamedTuple):
 class Outcome(NamedTuple):
     """What each of N robots earned in a control step, and why its episode may end: (N,) each."""
 
-    reward: np.ndarray  # [-] what is learned: task_reward, or the shaped one
+    reward: np.ndarray  # what is learned: task_reward, or the shaped one [-]
     task_reward: np.ndarray  # [-] Eqs. (5), (6), (8), or [m/s] Eq. (7)
     cost: np.ndarray  # [W] Eq. (9) or [-] Eq. (11)
     power: np.ndarray  # [W] Eq. (9) without its bonus
@@ -147,8 +147,8 @@ class Go1Env:
             privileged=np.zeros((n, 3), np.float32),  # m/s, the trunk's linear velocity
             age=np.zeros(n, np.int64),  # control steps since the episode began
             tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
-            # control steps since each foot touched it; from 1 on, so that a landing at once earns
-            # nothing
+            # control steps since each foot touched it; from 1 on, as if it had been in the air
+            # in the step before the episode
             off_ground=np.ones((n, 4), np.int64),
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn

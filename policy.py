@@ -49,7 +49,7 @@ class Policy:
     kp: float  # [N m / rad] of the joints' PD controllers
     kd: float  # [N m s / rad]
     config: dict  # of the world in which it was trained: tasks.Config, as JSON has it
-    # iteration, algo, lam and seed of its training; {} in files of older runs: unknown
+    # iteration, algo, lam, seed and robot of its training; {} in files of older runs: unknown
     about: dict = field(default_factory=dict)
 
     def __post_init__(self):

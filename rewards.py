@@ -88,9 +88,9 @@ SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an
 class Gait(NamedTuple):
     """What the shaped reward looks at, beside velocity and command."""
 
-    v_z: np.ndarray  # (...,) [m/s] of the body, upwards
+    v_z: np.ndarray  # (...,) [m/s] of the trunk, along its own z axis
     roll_pitch_rate: np.ndarray  # (..., 2) [rad/s]
-    gravity: np.ndarray  # (..., 3) [-] unit vector down, in the body frame
+    gravity: np.ndarray  # (..., 3) [-] unit vector along gravity, in the trunk's frame
     height: np.ndarray  # (...,) [m] of the trunk above the ground
     q: np.ndarray  # (..., 12) [rad] of the joints
     joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits of the joints
