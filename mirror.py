@@ -8,8 +8,7 @@ with the power clip a policy loses nothing if it commutes with M: if pi(M s) = M
 Half of the units of a hidden layer are right ones, and the left ones see the mirrored world with
 the same weights. That alone would cost as much as an ordinary MLP. But x is the sum of an even
 part, (x + M x) / 2, which M keeps, and of an odd part, (x - M x) / 2, which M negates, and each has
-about half as many numbers as x, since the rest are those again, up to their signs, or 0.
-So
+about half as many numbers as x, since the rest are those again, up to signs, or 0. So
 
     right units   even @ A + odd @ B + bias
     left units    even @ A - odd @ B + bias
