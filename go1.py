@@ -1,8 +1,8 @@
 """The robot: its model `go1.xml` as MuJoCo gets it, nominal pose, kinematics, motors.
 
 Legs come in the order front right, front left, rear right, rear left (FR, FL, RR, RL) and the
-joints of each as hip, thigh, calf, so arrays over the joints are (..., 12). The numbers are those
-of Unitree's URDF, or of Sections IV-C (gains) and V-D (torque-speed limit). `go1_env.py` calls the
+joints of each as hip, thigh, calf, so arrays over the joints are (..., 12). Each number has its
+source beside it: Unitree's URDF, a section of the paper, or the lab's code. `go1_env.py` calls the
 functions of the motors before every physics step, so that the torque in Eq. (9) is the torque that
 was applied.
 """
@@ -208,8 +208,9 @@ def felt_gravity(to_world, gravity):
 def leg_points(q):
     """The centres (..., 8, 3) [m] of each leg's knee and foot, where it may touch the ground first.
 
-    q: (..., 12) [rad] joint angles. The points are in the trunk's frame, and centres of balls of
-        FOOT_RADIUS. MuJoCo's `Batch.forward` finds the same ones, four times more slowly.
+    q: (..., 12) [rad] joint angles. The points are in the trunk's frame. A foot is a ball of
+        FOOT_RADIUS; a knee is thinner, by 3 to 16 mm. MuJoCo's `Batch.forward` finds the same
+        points, four times more slowly.
     """
     hip, thigh, calf = np.moveaxis(q.reshape(*q.shape[:-1], 4, 3), -1, 0)
     # from the hip, in its frame: of the knee, then of the foot

@@ -381,7 +381,7 @@ class Go1Env:
             self.state.tile[ids] = self.rng.integers(self.env_cfg.tiles, size=n)
             xy = terrain.origin(self.state.tile[ids]) + uniform(0.0, terrain.TILE, (n, 2))
             ground = terrain.height(self.ground, xy[:, None] + points[..., :2])
-        # the height at which the first foot or knee touches the ground
+        # the height at which the first foot touches the ground, or a knee nearly does
         height = go1.FOOT_RADIUS + (ground - points[..., 2]).max(-1)
         self.qpos[ids] = np.column_stack([xy, height, yaw.as_quat(scalar_first=True), q])
         self.qvel[ids, :6] = uniform(-spread, spread, (n, 6))

@@ -2,8 +2,9 @@
 
 The mirror M of a Go1 swaps its right and left legs, changes the signs of v_y, the yaw rate, roll
 and the angles of the hips, and moves the clock by half a period. Robot and tasks are symmetric, but
-for some millimetres (D28). So is Eq. (9) with the power clip, but not with the torque clip (D3). So
-with the power clip a policy loses nothing if it commutes with M: if pi(M s) = M pi(s).
+for 1 to 2 mm in the centres of mass (D28). So is Eq. (9) with the power clip, but not with the
+torque clip (D3). So with the power clip a policy loses nothing if it commutes with M: if
+pi(M s) = M pi(s).
 
 Half of the units of a hidden layer are right ones, and the left ones see the mirrored world with
 the same weights. That alone would cost as much as an ordinary MLP. But x is the sum of an even
@@ -74,6 +75,7 @@ class MirroredMLP:
 def tied(mlp, enter, leave):
     """The MirroredMLP that has the right units of an MLP, and their images as left ones.
 
+    The right units are the first half of each hidden layer. The MLP's second half is not used.
     enter, leave: the mirrors of inputs and of outputs. Outputs are the mean of what the MLP's last
     layer says of these units, and of the image of what it says of the mirrored ones.
     """
@@ -112,7 +114,7 @@ def reflect(x, mirror):
 
 
 def parts(x, mirror):
-    """The even and the odd part of x (..., n): (..., n) and (..., k), each number once.
+    """The even part (..., n) and the odd part (..., k) of x (..., n + k), each number once.
 
     They begin with one number for each pair. A number without a partner, such as v_y, is even or
     odd, and not in the other part.

@@ -19,7 +19,7 @@ import rewards
 class Commands:
     """What robots are asked to do, which is nothing. Classes of their own ask for more."""
 
-    example = np.zeros(3)  # with which one shows and evaluates the task
+    example = np.zeros(3)  # what play.py asks for, and evaluate.py for shares of
     low = high = np.zeros(3)  # the ends of the viewer's sliders
     learns = False  # whether `record` does anything
     weights = np.zeros(0)  # what was learned
@@ -137,9 +137,9 @@ class Task(NamedTuple):
 
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
-# on `velocity`. So that alpha gets somewhere in fewer iterations, it takes larger steps than the
-# paper's 0.01, except on `velocity` (D38). There standing still earns nothing, so pi soon leaves
-# it, and half as many robots are enough.
+# on `velocity`; for `curriculum` it prints none. So that alpha gets somewhere in so few, it takes
+# larger steps than the paper's 0.01, except on `velocity` (D38), which has half as many robots
+# (D9).
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
@@ -219,7 +219,7 @@ class Config:
     gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity in x, y, z
     motor_model: bool = False  # [IV-A.4] a model of the real motors instead of ideal PD (D11)
     latency: int = 0  # [lab code] physics steps until a joint target reaches the motors
-    max_power: float | None = None  # [IV-A.4] W, power above which an episode ends; inf: no limit
+    max_power: float | None = None  # [IV-A.4] W, an episode ends above it; None, inf: no limit
     reward: Literal["paper", "shaped"] = "paper"  # [V-E] Eqs. (5) to (8), or that of [5]
     aux: Literal["energy", "smooth"] = "energy"  # [V-E] auxiliary cost: Eq. (9), or Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that few end at once

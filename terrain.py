@@ -1,4 +1,4 @@
-"""Ground to run on: Perlin noise, and a height field made of it. Section IV-A.2 and IV-A.3.
+"""Ground to run on: Perlin noise, and a height field made of it. Sections IV-A.2 to IV-A.4.
 
 The paper says that the ground is Perlin noise, and how rough it is on each task. We take roughness
 to be the height from the lowest to the highest point of a tile. The paper does not say how fine the
