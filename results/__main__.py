@@ -4,7 +4,8 @@
     weights   RUN...   a figure of PPO at each lambda and EIPO from each lambda_0, and who is good
     summary   RUN...   a line for each kind of run: score, power, energy and falls
     table     RUN...   the same with more, for each seed, and on curriculum by region of commands
-    claims             the paper's claims of runs in --results, each with a verdict by rule
+    claims             the paper's claims, each with a verdict by rule, of the runs in --results
+                       that have seeds 10 to 17 and names that do not begin with new-
     add       FOLDER   play the policies of run folders, for the tables of --results
 
 RUN is results/TASK for all runs there that train.py named, or 'results/TASK/NAME', in which NAME
@@ -34,9 +35,14 @@ def main(argv):
     add = parser.add_argument
     add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
-    add("--out", type=Path, default=Path(), help="folder for PNG and CSV")
-    add("--results", type=Path, default=tables.RESULTS, help="folder of the tables")
-    add("--episodes", type=int, help="to play, per policy and kind of start")
+    add("--out", type=Path, default=Path(), help="folder for PNG and CSV of a figure")
+    add(
+        "--results",
+        type=Path,
+        default=tables.RESULTS,
+        help="folder of the tables, for add and claims",
+    )
+    add("--episodes", type=int, help="that add plays, per policy and kind of start")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):
         parser.error(line)

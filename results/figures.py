@@ -228,13 +228,13 @@ def fig6(runs):
     for name, arm in kinds.items():
         time = arm[0].speed["time"]
         speeds = {run.name: run.speed["v_x"] for run in arm}
-        speeds["mean"] = np.mean(list(speeds.values()), 0)
+        mean = np.mean(list(speeds.values()), 0)
         color = style(name)["color"]
-        for seed, v_x in speeds.items():
+        for seed, v_x in (speeds | dict(mean=mean)).items():
             axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
             about = dict(group=group, kind=name, run=seed)
             rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
-        axes.plot(time, v_x, color=color, linewidth=2, label=f"{name}, n = {len(arm)}")
+        axes.plot(time, mean, color=color, linewidth=2, label=f"{name}, n = {len(arm)}")
     for name, peak in HARDWARE.items():
         axes.axhline(peak, color="black", linestyle=":", linewidth=1)
         axes.text(time[-1], peak, f"{name}, the paper's robot", ha="right", va="bottom", fontsize=7)

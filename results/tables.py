@@ -41,7 +41,8 @@ NUM_EPISODES = dict(flat=990, rough=990, velocity=1000, curriculum=968)
 NUM_OTHERS = NUM_EPISODES | dict(flat=330, rough=330)
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10)
 LAMBDA_0 = dict(flat=0.005, rough=0.0002, velocity=0.0002, curriculum=0.005)  # of EIPO, Section V
-KINDS = ("EIPO", *(f"PPO({lam:g})" for lam in LAMBDAS))
+PPO = tuple(f"PPO({lam:g})" for lam in LAMBDAS)
+KINDS = ("EIPO", *PPO)
 # by audit/rules.md, of a difference or of the logarithm of a ratio
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 # the commands of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
@@ -114,7 +115,7 @@ def columns(rows):
 
 def runs(patterns):
     """The Runs of patterns that have episodes; `python -m results -h` explains the patterns."""
-    found = []
+    found = {}  # a run that two patterns find counts once
     for path in map(Path, patterns):
         place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
         files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
@@ -127,8 +128,8 @@ def runs(patterns):
             played = grouped(episodes[run], "policy")
             parts = [metrics.get(run, []), played["pi"], played.get("prime", [])]
             parts += [table.get(run, []) for table in others]
-            found.append(Run(run, settings_of(row), row, *map(columns, parts)))
-    return found
+            found[place.resolve(), run] = Run(run, settings_of(row), row, *map(columns, parts))
+    return list(found.values())
 
 
 def commits(row):
@@ -370,17 +371,19 @@ def add(folders, results=RESULTS, num_episodes=None):
         found[folder.name] = folder, row, metrics, reached
     for name, (folder, row, metrics, reached) in found.items():
         task = settings_of(row)["task"]
+        (results / task).mkdir(parents=True, exist_ok=True)
         played, speeds = play(folder, task, num_episodes)
         mine = columns(grouped(played, "policy")["pi"])
         row = dict(run=name) | numbers_of(mine) | row
-        parts = {RUNS: [row], METRICS: thinned(name, metrics), EPISODES: played} | reached
+        parts = {METRICS: thinned(name, metrics), EPISODES: played} | reached
         if task == "velocity":
             parts[SPEED] = speeds
-        (results / task).mkdir(parents=True, exist_ok=True)
-        for file, new in parts.items():
-            path = results / task / file
-            others = [x for x in read(path) if x["run"] != name]
-            write(path, sorted([*others, *new], key=itemgetter("run")))
+        parts[RUNS] = [row]  # last: what stops before it leaves no run without episodes
+        with run_folder.lock(results / task, wait=True):  # two may add at a time
+            for file, new in parts.items():
+                path = results / task / file
+                others = [x for x in read(path) if x["run"] != name]
+                write(path, sorted([*others, *new], key=itemgetter("run")))
 
 
 def learned(folder):
@@ -395,6 +398,7 @@ def learned(folder):
         raise Refused(f"{folder}: pi is of iteration {one} and pi' of {other}: --resume the run")
     rows = read(path := folder / "metrics.csv")
     with run_folder.reading(path):
+        path.stat()  # it is there
         iterations = [int(row["iteration"]) for row in rows]
         last = about.get("iteration", iterations[-1])
     if last not in iterations:
@@ -443,7 +447,8 @@ def thinned(name, rows):
 def reached_rows(folder, iteration):
     """Rows of the `cells_of` what the grid of a run on curriculum had reached, from its checkpoint.
 
-    None if the checkpoint is gone, of an older version, or of another iteration than the policies.
+    None of them if the checkpoint is gone, of an older version, or of another iteration than the
+    policies.
     """
     path = folder / "checkpoint.npz"
     arrays = run_folder.read_npz(path) if path.exists() else {}

@@ -10,14 +10,24 @@ import numpy as np
 from matplotlib.ticker import NullLocator
 from scipy import stats
 
+import evaluate
 from results import tables
 from results.figures import BOTTOM, LABELS, log_axis, panels_by
-from results.tables import KINDS, LAMBDAS, MARGINS, by_group, score_of, task_of
+from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
-PPO = KINDS[1:]
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
 COLOURS = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195"  # of the kinds of EIPO, in turn
+
+
+def is_ppo(kind):
+    """Whether a kind of run is PPO(lambda), at any lambda, with the paper's reward and settings."""
+    return kind.startswith("PPO(") and kind.endswith(")")
+
+
+def is_eipo(kind):
+    """Whether a kind of run is EIPO, from any lambda_0."""
+    return kind.startswith("EIPO")
 
 
 def last_lam(run):
@@ -48,7 +58,7 @@ def weights(runs):
                 row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
                 rows.append(row | dict(lam_end=last_lam(run), score=score, power=power))
     figure, panels = panels_by("group", rows, 2)
-    labels = dict.fromkeys(label(row) for row in rows if row["kind"].startswith("EIPO"))
+    labels = dict.fromkeys(label(row) for row in rows if is_eipo(row["kind"]))
     colours = dict(zip(labels, cycle(COLOURS)))  # one start has one colour in all panels
     above = [x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0]
     zero = min([*above, LAMBDAS[1]]) / 3  # where 0 stands on an axis that is logarithmic
@@ -85,7 +95,7 @@ def draw(axes, rows, column, zero, colours):
 
     colours: {label of a kind of EIPO: colour}
     """
-    ppo = [row for row in rows if row["kind"] in PPO]
+    ppo = [row for row in rows if is_ppo(row["kind"])]
     by_lam = sorted(tables.grouped(ppo, "lam").items())
     means = {lam: np.mean([row[column] for row in mine]) for lam, mine in by_lam}
     line = sorted({*LAMBDAS, *means})  # it has a gap where a weight was not run
@@ -93,7 +103,7 @@ def draw(axes, rows, column, zero, colours):
     axes.plot([lam or zero for lam in line], y, color=BROWN, linewidth=1)
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
-    eipo = [row for row in rows if row["kind"].startswith("EIPO")]
+    eipo = [row for row in rows if is_eipo(row["kind"])]
     for mine in tables.grouped(eipo, "kind").values():
         name = label(mine[0])
         for i, row in enumerate(mine):
@@ -131,56 +141,67 @@ def spread(arms):
 
 
 def answers(runs):
-    """Yields tables in Markdown, for each group of runs and each kind of start."""
+    """Yields tables in Markdown, for each group of runs with PPO, of both kinds of start."""
     for group, kinds in by_group(runs).items():
-        kinds = {name: arm for name, arm in kinds.items() if name in PPO or name[:4] == "EIPO"}
-        if not kinds.keys() & set(PPO):
+        if not any(is_ppo(kind) for kind in kinds):
             continue
-        yield from answers_of(group, kinds, score_of(group), "random starts")
-        if score_of(group) == "performance":
-            yield from answers_of(group, kinds, "performance_nominal", "nominal starts")
-        found = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
+        for nominal in (False, True):
+            yield from answers_of(group, kinds, nominal)
+        shown = {name: arm for name, arm in kinds.items() if is_ppo(name) or is_eipo(name)}
+        found = {x for arm in shown.values() for run in arm for x in tables.commits(run.row)}
         yield f"Commits: {', '.join(sorted(found))}."
+        yield ""
 
 
-def answers_of(group, kinds, name, starts):
-    """The table of one group by one of `tables.numbers_of`, from starts that are so called.
-
-    A difference is good, or no worse, if it is above the margin of the score, and surely so if its
-    interval is. Intervals are of the spread over seeds, pooled over the kinds that walk.
-    """
+def answers_of(group, kinds, nominal):
+    """The table of one group, from random starts or from nominal ones."""
+    score, power, of_score, of_power = pooled(kinds, score_of(group), nominal)
     margin = MARGINS[score_of(group)]
-    numbers = {kind: tables.means(arm)[0] for kind, arm in kinds.items()}
-    score = {kind: x[name] for kind, x in numbers.items()}
-    power = {kind: np.log(x["power"]) for kind, x in numbers.items()}
-    walking = [kind for kind, x in numbers.items() if x["v_x"].mean() > WALKS]
-    of_score, of_power = (spread([x[kind] for kind in walking]) for x in (score, power))
-    ppo = [kind for kind in kinds if kind in PPO]
+    ppo = [kind for kind in kinds if is_ppo(kind)]
     best = max(ppo, key=lambda kind: score[kind].mean())
     good = [kind for kind in ppo if score[kind].mean() > score[best].mean() - margin]
     least = min(good, key=lambda kind: power[kind].mean())
     lams = [kinds[kind][0].settings["lam"] for kind in good]
+    starts = "nominal starts" if nominal else "random starts"
     columns = f"less {best}", "", "power", f"of {least}", "last lambda is good", "less PPO(0.005)"
     yield f"| {' | '.join((f'{group}, {starts}', 'score', *columns, 'seeds'))} |"
     yield "|---" * 9 + "|"
     for kind, arm in kinds.items():
+        if not (is_ppo(kind) or is_eipo(kind)):
+            continue
         difference = of_score.between(score[kind], score[best])
+        less, word = shown(difference), verdict(difference, margin)
+        if kind == best:
+            less, word = "", "best"
         ratio = arrived = other = ""
-        word = verdict(difference, margin)
-        if kind not in PPO:
+        if is_eipo(kind):
             word = {"surely good": "no worse", "surely not": "worse"}.get(word, "open")
             ratio = shown(np.exp(of_power.between(power[kind], power[least])), "")
             arrived = f"{sum(arrives(last_lam(run), lams) for run in arm)} of {len(arm)}"
-        if kind not in PPO and "PPO(0.005)" in kinds:
-            other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
-        cells = f"{score[kind].mean():.3f}", shown(difference), word
+            if "PPO(0.005)" in kinds:
+                other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
+        cells = f"{score[kind].mean():.3f}", less, word
         cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
         yield f"| {kind} | {' | '.join(cells)} |"
     yield ""
 
 
+def pooled(kinds, name, nominal):
+    """Of the kinds of one group the score, which is one of evaluate.numbers, and the logarithm of
+    the power, {kind: (seeds,)} each, and the Spread of either over the kinds that walk.
+    """
+    score, power, walking = {}, {}, []
+    for kind, arm in kinds.items():
+        played = [evaluate.numbers(tables.evaluation(run.episodes, nominal)) for run in arm]
+        score[kind] = np.array([x[name] for x in played])
+        power[kind] = np.log([x["power"] for x in played])
+        if np.mean([x["v_x"] for x in played]) > WALKS:
+            walking.append(kind)
+    return score, power, *(spread([x[kind] for kind in walking]) for x in (score, power))
+
+
 def verdict(difference, margin):
-    """Whether a difference to the best, with its interval, is above minus the margin."""
+    """Whether a difference to the best is above minus the margin, and surely if its interval is."""
     mean, low, high = difference
     if low > -margin or high < -margin:
         return "surely good" if low > -margin else "surely not"

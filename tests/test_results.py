@@ -219,9 +219,30 @@ def test_weights_by_hand():
     assert lines[2:5] == [
         "EIPO; 1.440; -0.010 [-0.273, +0.253]; open; 200 W; 2.00 [2.00, 2.00]; 1 of 1; "
         "+0.010 [-0.253, +0.273]; 1",
-        "PPO(0); 1.450; +0.000 [-0.215, +0.215]; good; 400 W; ; ; ; 2",
+        "PPO(0); 1.450; ; best; 400 W; ; ; ; 2",
         "PPO(0.005); 1.430; -0.020 [-0.235, +0.195]; good; 100 W; ; ; ; 2",
     ]
+
+
+def test_weights_of_nominal_starts_have_their_own_score_and_power():
+    run = made(
+        "a", algo="ppo", lam=0.0, performance=[1.4, 1.0], power=[400, 300], start_spread=[0.5, 0]
+    )
+    runs = [run._replace(row=dict(commit="c", resumed=""))]
+    lines = [line for line in weights.answers(runs) if line.startswith("| PPO(0) |")]
+    assert [line.split("|")[2:6:3] for line in lines] == [
+        [" 1.400 ", " 400 W "],
+        [" 1.000 ", " 300 W "],
+    ]
+
+
+def test_weights_has_ppo_at_any_lambda():
+    """0.003 is none of Eq. (10)'s."""
+    runs = seeds("a", [1.4], [400], algo="ppo", lam=0.0)
+    runs += seeds("b", [1.3], [100], algo="ppo", lam=0.003)
+    assert sum("| PPO(0.003) | 1.300 |" in line for line in weights.answers(runs)) == 2
+    _, figure = weights.weights(runs)
+    assert 0.003 in figure.axes[0].lines[1].get_xdata()
 
 
 @pytest.mark.parametrize(
@@ -326,7 +347,7 @@ def test_the_table_of_the_curriculum_by_region():
     run = made("a", **e)._replace(reached=tables.cells_of(grid.weights))
     prime = run.episodes | dict(performance=run.episodes["performance"] / 2)
     runs = [run._replace(prime=prime), made("b", lam=0.0, algo="ppo", **e)]
-    lines = [line.strip("|").split(" | ")[:4] for line in claims.table(runs) if "---" not in line]
+    lines = [line.strip("|").split(" | ")[:4] for line in claims.table(runs) if "| " in line]
     head = ["score", "power", "fell"]
     every, box, reached = (
         ["0.500", "300 W", "66.7 %"],
@@ -549,6 +570,7 @@ TOLD_APART = {
     "policy.npz and config.json have another seed": lambda x: rewrite(
         x / "policy.npz", dict(seed=4)
     ),
+    "metrics.csv does not exist": lambda x: (x / "metrics.csv").unlink(),
     "metrics.csv is damaged": lambda x: (x / "metrics.csv").write_text("iteration,steps\n"),
 }
 
@@ -785,6 +807,12 @@ def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert says in error_of(capsys, main, *argv)
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_run_that_two_patterns_find_counts_once():
+    patterns = [RESULTS / "flat" / name for name in ("flat-ppo-lam0-*", "flat-ppo-lam0-seed1?")]
+    names = [run.name for run in tables.runs(patterns)]
+    assert len(names) == len({*names}) == 6
 
 
 def test_a_damaged_table_is_one_line(tmp_path, capsys):
