@@ -25,7 +25,8 @@ from runtime import run_folder
 from runtime.cli import COUNT, Parser, misfit, program
 
 # of the evaluation's episodes and their ground. Those of training, 2 * seed + 1 and --ground-seed,
-# are below 2**33, so none of them draws the same. NumPy takes (2024, 0) for 2024
+# are below 2**33, so none of them draws the same. (A tuple such as (2024, 0) would not do: NumPy
+# takes it for 2024.)
 SEED = 2**64 + 2024
 CLIP = "power"  # what Eq. (9) clips for every policy, whatever it was trained with (D3)
 EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
@@ -176,8 +177,9 @@ def evaluate(folder, args):
     asked = np.tile(commands, (each, 1))
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
-    row = dict(episodes=len(asked)) | {"95 % from": low, "to": high}
-    return row | numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
+    found = numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
+    row = dict(episodes=len(asked), performance=found["performance"])
+    return row | {"95 % from": low, "to": high} | found
 
 
 @program("evaluate.py")

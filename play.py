@@ -127,12 +127,14 @@ def main(argv):
     add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
-    asked = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
-    add("--command", **asked, help="m/s, m/s, rad/s (default: the example of the first run's task)")
+    three = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
+    add("--command", **three, help="m/s, m/s, rad/s (default: the example of the first run's task)")
     add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), LIMITS):
         parser.error(line)
+    if args.web and args.gif:
+        parser.error("--web shows a run and --gif draws it: give one of them")
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
     if args.gif and not (args.gif.suffix.lower() == ".gif" and args.gif.resolve().parent.is_dir()):

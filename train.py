@@ -154,8 +154,7 @@ def train(folder, envs, cfg, options, typed):
             steps = state.iteration * cfg.num_steps * cfg.num_envs
             log.add(state.iteration, dict(steps=steps) | row)
             keeper.keep(state)
-            if stop.requested:
-                say("\nStopping after this iteration. Ctrl-C again stops at once")
+            if stop.requested and state.iteration < cfg.iterations:
                 return state.iteration
             is_due = keeper.failed or state.iteration % options.checkpoint_every == 0
             keeper.attempt(keeper.save if is_due else keeper.write)
@@ -170,13 +169,15 @@ def prepare(options, given_env, given_learner):
     if options.resume:
         given = given_env | given_learner
         env_cfg, cfg, jax_threads, began = resumed_settings(folder, given)
+        run_folder.starts(folder)  # refuses what cannot go on
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
     check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
     numerics = jax_setup.numerics()  # refuses before anything is written if there is no device
-    was_and_is = {x: (was, numerics.get(x)) for x, was in (began or {}).items()}
+    began = dict(threads=jax_threads) | began if began else {}
+    was_and_is = {x: (was, numerics.get(x)) for x, was in began.items()}
     if other := [f"{x} {was} and not {now}" for x, (was, now) in was_and_is.items() if was != now]:
         warn(f"{folder} began with {', '.join(other)}: last digits will differ")
     return folder, env_cfg, cfg

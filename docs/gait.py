@@ -109,7 +109,7 @@ def main(argv):
         for v_x, panel in zip(args.v_x, line, strict=True):
             walked = walk(pi, env_cfg, v_x)
             if not walked[0].size:
-                say(f"| {name} | {v_x:g} m/s | every episode ends early" + 7 * " | " + "|")
+                say(f"| {name} | {v_x:g} m/s | every episode ends early" + 6 * " | " + " |")
                 panel.suptitle(
                     f"{name}, asked for {v_x:g} m/s: every episode ends early", fontsize=9
                 )

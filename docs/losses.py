@@ -5,6 +5,7 @@ The episodes are those of `evaluate.py RUN --episodes 330`, whose score and fall
 first row. Speed and power leave out the episodes that end in a fall, which is fast and costly.
 """
 
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 import evaluate
 import go1
-from runtime.cli import COUNT, Parser, misfit, program
+from runtime.cli import COUNT, Parser, Refused, misfit, program
 
 CASES = {
     "nothing": {},
@@ -31,14 +32,15 @@ CASES = {
 }
 
 
-def measure(pi, env_cfg, asked, friction=0.0, damping=0.0, kd=go1.KD, solimp=None, steps=4):
+def measure(pi, env_cfg, asked, friction=0.0, damping=0.0, kd=go1.KD, solimp=None, steps=None):
     """Score [-], speeds ahead asked for 0.5 and 1 m/s [m/s], power [W] and share of falls.
 
     asked:    (N, 3) [m/s, m/s, rad/s] commands, a robot for each
     friction: [N m] and damping [N m s / rad] of the joints; kd: [N m s / rad] of their controllers
     solimp:   of the feet, the first three numbers; None: MuJoCo's own
-    steps:    of physics in a control step, each with new torques
+    steps:    of physics in a control step, each with new torques; None: as many as in training
     """
+    steps = steps or env_cfg.physics_steps
     step = env_cfg.timestep * env_cfg.physics_steps / steps
     env = evaluate.make_env(replace(env_cfg, timestep=step, physics_steps=steps), asked)
     env.batch.expand("dof_frictionloss")[:, 6:] = friction  # the first six are the trunk's
@@ -62,8 +64,10 @@ def main(argv):
     if line := misfit(vars(args), dict(episodes=COUNT)):
         parser.error(line)
     pi, env_cfg = evaluate.load(args.run)
+    if env_cfg.task != "flat":
+        raise Refused(f"{args.run} is of {env_cfg.task}: this is about walking on flat ground")
     commands = evaluate.commands_of(env_cfg.task)
-    asked = np.tile(commands, (max(1, args.episodes // len(commands)), 1))
+    asked = np.tile(commands, (math.ceil(args.episodes / len(commands)), 1))
     print("| changed | score | at 0.5 m/s | at 1 m/s | power | fell |\n" + "|---" * 6 + "|")
     for name, changes in CASES.items():
         row = "{:.2f} | {:.2f} m/s | {:.2f} m/s | {:.0f} W | {:.1%}"

@@ -1,11 +1,13 @@
 """How the commands speak and end: what is refused is one line, and Ctrl-C stops a run."""
 
 import argparse
+import errno
 import functools
 import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from operator import ge, gt, le, lt
 
 from go1 import OtherRobot
@@ -14,6 +16,7 @@ COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # more would not fit into arrays of whole numbers
 SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits, so 2**32 would draw what 0 draws
+NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 
 
 class Refused(Exception):
@@ -35,14 +38,16 @@ class Parser(argparse.ArgumentParser):
 def say(line, stream=None, end="\n"):
     """Print a line, or nothing from now on where nobody listens any more.
 
-    A pipe or a terminal that was closed ends no run. stream: None is standard output.
+    A pipe or a terminal that was closed ends no run. Nor does a log on a disk that is full: what it
+    cannot take now comes with a later line. stream: None is standard output.
     """
     stream = stream or sys.stdout
     try:
         print(line, file=stream, end=end, flush=True)
-    except OSError:
-        # what is left in its buffer would fail again when Python ends
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    except OSError as error:
+        if error.errno in NOBODY_LISTENS:
+            # what is left in its buffer would fail again when Python ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def warn(line):
@@ -131,3 +136,6 @@ class StopRequest:
         self.requested = True
         if number in (signal.SIGINT, signal.SIGTERM):  # one closed terminal may send SIGHUP twice
             signal.signal(number, signal.SIG_DFL)
+            # not by print, in the midst of which the signal may have come
+            with suppress(OSError):
+                os.write(1, b"\nStopping after this iteration. Ctrl-C again stops at once\n")

@@ -39,11 +39,12 @@ def set_threads(began_with):
 
 
 def numerics():
-    """What, beside threads, the last digits of a run depend on: {name: text}."""
+    """What the last digits of a run depend on: {name: text}."""
     names = "jax_enable_x64", "jax_default_matmul_precision"
     settings = {name: str(getattr(jax.config, name)) for name in names}
+    settings |= {package: version(package) for package in ("jax", "mujoco", "numpy")}
     flags = os.environ.get("XLA_FLAGS", "").strip()
-    return settings | dict(device=device(), jax=version("jax"), xla_flags=flags)
+    return settings | dict(device=device(), threads=os.environ.get(THREADS), xla_flags=flags)
 
 
 def device():

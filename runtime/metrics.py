@@ -59,6 +59,9 @@ class Log:
         """Write the rows that are not written yet."""
         if not self.unwritten:
             return
+        if self.begun and not self.path.exists():
+            warn(f"{self.path} is gone, with its rows: it begins anew")
+            self.begun = False
         if not self.begun:
             self.begin(self.header)
             self.begun = True

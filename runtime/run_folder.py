@@ -71,17 +71,19 @@ def replace_file(path, write):
 
 
 @contextmanager
-def lock(folder):
-    """Make the run folder and keep it to this process, until it ends, unless another one has it."""
+def lock(folder, wait=False):
+    """Make a folder and keep it to this process, until it ends. If another one has it, a run folder
+    is refused; wait: wait for it instead.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "lock", "a") as file:
         try:
             if fcntl:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB * (not wait))
         except BlockingIOError:
             raise Refused(f"{folder} is being trained by another process: stop it") from None
         except OSError as error:  # a file system of a network may have no locks
-            warn(f"{folder} cannot be locked ({error}): see to it that nothing else trains there")
+            warn(f"{folder} cannot be locked ({error}): see to it that nothing else writes there")
         yield
 
 
@@ -116,21 +118,25 @@ def cpu_model():
     return names[0] if names else platform.processor()
 
 
+def starts(folder):
+    """The entries in the config.json of a run folder, one for each start."""
+    with reading(path := folder / "config.json"):
+        return json.loads(path.read_text())["starts"]
+
+
 def save_config(folder, env_cfg, cfg, typed, numerics, resume=False):
     """Write config.json: both Configs, and one more entry about this start.
 
     typed: words of the command line; numerics: of `jax_setup`; resume: keep earlier starts' entries
     """
-    path = folder / "config.json"
-    with reading(path):
-        starts = json.loads(path.read_text())["starts"] if resume else []
+    earlier = starts(folder) if resume else []
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)
     about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=numerics["device"], jax=numerics)
-    config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*starts, about])
+    config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, about])
     text = json.dumps(config, indent=1) + "\n"
-    replace_file(path, lambda file: file.write(text.encode()))
+    replace_file(folder / "config.json", lambda file: file.write(text.encode()))
 
 
 # ---- policy.npz ----

@@ -177,7 +177,7 @@ def browser(env, steps, command, port=0, slow=1.0):
 
 
 def film(env, steps, seconds, size=SIZE, every=1):
-    """Pictures (height, width, 3) uint8 of each every-th control step in `seconds`; and for each
+    """Pictures (height, width, 3) uint8 of one control step in `every`, in `seconds`; and for each
     picture the means of v_x [m/s] and power [W] over the second up to it.
 
     size: (width, height) of the pictures

@@ -248,13 +248,19 @@ def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(capsys, tmp_pa
     assert "must end in .gif, and its folder must exist" in says
 
 
-@pytest.mark.parametrize("given", ["", "--web", "--web --gif a.gif"])
+@pytest.mark.parametrize("given", ["", "--web"])
 def test_several_runs_without_a_gif_are_refused_in_one_line(capsys, given):
     """Before anything is read: there are no such runs."""
     with pytest.raises(SystemExit, match="2"):
         play.main(["nowhere", "elsewhere", *given.split()])
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("play.py: ") and "--gif FILE" in line
+
+
+def test_web_and_gif_are_two_things(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["nowhere", "--web", "--gif", "a.gif"])
+    assert "give one of them" in capsys.readouterr().err
 
 
 def test_runs_that_cannot_be_asked_for_the_same_are_refused(runs, capsys, tmp_path):

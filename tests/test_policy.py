@@ -251,6 +251,8 @@ def test_the_table_of_deploy_md(capsys, monkeypatch):
     few = ("nothing", "joint damping 1", "joint damping 0.5, and kd 0", "2 ms, 10 steps a target")
     monkeypatch.setattr(losses, "CASES", {name: cases[name] for name in few})
     monkeypatch.setattr(evaluate, "EPISODE_STEPS", 50)
+    assert losses.main([str(ROOT / "results/velocity")]) == 2
+    assert "results/velocity is of velocity" in capsys.readouterr().err
     assert losses.main([str(ROOT / "results/flat"), "--episodes", "22"]) == 0
     evaluate.main([str(ROOT / "results/flat"), "--episodes", "22"])
     lines = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]

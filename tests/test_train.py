@@ -1,6 +1,7 @@
 """The command line and the run folder: whatever stops a run, its numbers come out the same."""
 
 import errno
+import io
 import json
 import os
 import resource
@@ -20,7 +21,7 @@ import rewards
 import tasks
 import train
 from networks import MLP
-from runtime import jax_setup, metrics, run_folder
+from runtime import cli, jax_setup, metrics, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -266,6 +267,15 @@ print("still here")
     assert done.returncode == -number and done.stdout.split()[-1] == "True"
 
 
+def test_a_signal_in_the_last_iteration_ends_a_run_that_is_done(tmp_path, monkeypatch, capsys):
+    class Heard:
+        requested = True
+
+    monkeypatch.setattr(train, "StopRequest", Heard)
+    assert train.main([*map(str, TINY), "--iterations", "1", "--out", str(tmp_path / "run")]) == 0
+    assert "Done" in capsys.readouterr().out
+
+
 def test_a_thread_trains(tmp_path):
     """As in a notebook: there are no signals to hear."""
     thread = threading.Thread(target=run, args=("--out", tmp_path / "run"))
@@ -354,12 +364,59 @@ def test_what_jax_computes_with_is_kept_and_compared(copied, capsys, monkeypatch
     assert "jax_enable_x64 False and not True" in line and "last digits" in line
 
 
+def test_another_number_of_threads_is_told(copied, capsys, monkeypatch):
+    """Last digits depend on it, and a sweep may go on with other CORES than it began with."""
+    began = os.environ["PJRT_NPROC"]
+    monkeypatch.setenv("PJRT_NPROC", "99")
+    resume(copied, "--iterations", 21)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"began with threads {began} and not 99: last digits will differ" in line
+
+
+@pytest.mark.parametrize("text", [None, "{"])
+def test_without_its_config_json_no_run_goes_on(copied, capsys, text):
+    """It has the commit of the first start, for the tables. It is missed before JAX compiles."""
+    (copied / "config.json").unlink()
+    if text:
+        (copied / "config.json").write_text(text)
+    before = contents(copied)
+    said = error_of(capsys, train.main, "--out", copied, "--resume", "--iterations", 21)
+    assert "config.json" in said and contents(copied) == before
+
+
 def test_a_checkpoint_of_an_older_version_says_so(copied, capsys):
     arrays = run_folder.read_npz(copied / "checkpoint.npz")
     old = {name.replace("env", "process0.env"): x for name, x in arrays.items()}
     np.savez(copied / "checkpoint.npz", **old)
     again = "--out", copied, "--resume", "--iterations", 21
     assert "31a2f37" in error_of(capsys, train.main, *again)
+
+
+def test_a_log_that_is_moved_away_begins_anew(tmp_path, capsys):
+    log = metrics.Log(tmp_path, 0, 3)
+    for iteration in (1, 2, 3):
+        log.add(iteration, NUMBERS | dict(steps=iteration, iteration=iteration))
+        log.write()
+        if iteration == 1:
+            log.path.rename(tmp_path / "mine.csv")
+    assert "metrics.csv is gone" in capsys.readouterr().err
+    assert metrics.read(tmp_path)["iteration"].tolist() == [2, 3]
+
+
+def test_a_full_disk_under_the_console_does_not_silence_it():
+    class Disk(io.StringIO):
+        full = True
+
+        def write(self, text):
+            if self.full:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(text)
+
+    disk = Disk()
+    cli.say("lost", disk)
+    disk.full = False
+    cli.say("kept", disk)
+    assert disk.getvalue() == "kept\n"
 
 
 # a log that somebody edited, lost, or copied while it grew, and the rows that it has in the end
