@@ -44,6 +44,7 @@ def resumed_settings(folder, given):
     given: the fields of both Configs that the command line sets, which must be the run's
     """
     env_cfg, cfg, jax_threads, began = checkpoint.load_settings(folder / "checkpoint.npz")
+    run_folder.starts(folder)  # refuses a config.json to which nothing can be added
     settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
@@ -169,7 +170,6 @@ def prepare(options, given_env, given_learner):
     if options.resume:
         given = given_env | given_learner
         env_cfg, cfg, jax_threads, began = resumed_settings(folder, given)
-        run_folder.starts(folder)  # refuses what cannot go on
     elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
         again = "--resume it, or " * ("checkpoint.npz" in found)
         raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")

@@ -11,6 +11,7 @@ from math import exp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support import (
     FROZEN,
     NOMINAL,
@@ -25,7 +26,6 @@ from support import (
     still,
 )
 
-import energy
 import go1
 import tasks
 from runtime import checkpoint
@@ -150,13 +150,15 @@ def test_batch_equals_a_plain_mujoco_loop():
 
 
 def plain_step(model, robot, action):
-    """The mean cost of a control step of one robot, without any of go1_env.py."""
+    """The mean cost of a control step of one robot, Eq. (9) as printed, without our code."""
     target, costs = NOMINAL + 0.25 * np.tile([0.5, 1.0, 1.0], 4) * action, []
     for _ in range(4):
         q, qd = robot.qpos[7:], robot.qvel[6:].copy()
         robot.ctrl[:] = np.clip(20 * (target - q) - 0.5 * qd, -TORQUE_LIMIT, TORQUE_LIMIT)
         mujoco.mj_step(model, robot)
-        costs.append(energy.energy_cost(robot.ctrl, (qd + robot.qvel[6:]) / 2, "torque"))
+        mechanical = np.clip(robot.ctrl, -3, 1e4) @ (qd + robot.qvel[6:]) / 2
+        heat = 0.7 * np.sum((robot.ctrl * np.tile([1, 1, 2 / 3], 4)) ** 2)
+        costs.append(mechanical + heat + 42 - 200)
     return np.mean(costs)
 
 
@@ -195,7 +197,8 @@ def test_final_obs_at_a_time_limit():
         final = info["final_obs"], info["final_privileged"]
         alike = [same_bits([x], [now]) for x, now in zip(final, env.observe(), strict=True)]
         assert alike == [k < 3] * 2
-    assert env.observe()[1] == pytest.approx(go1.motion(env.qpos, env.qvel).linear)
+    to_trunk = Rotation.from_quat(env.qpos[:, 3:7], scalar_first=True).inv()
+    assert env.observe()[1] == pytest.approx(to_trunk.apply(env.qvel[:, :3]), abs=1e-6)
     assert frames(final[0])[:, :, 30].tolist() == [[0, 0, 1, 2, 3]] * 2
     assert (frames(obs) == frames(obs)[:, :1]).all() and not frames(obs)[:, :, ACTION].any()
 
@@ -354,6 +357,7 @@ def test_divergence_ends_one_episode(poisoned, fields, tmp_path, monkeypatch):
         ours = env.step(action)
         if step == 0:
             assert (ours[1][1], ours[4]["cost"][1]) == (0.0, 0.0)
+            assert ours[4]["log"]["power"][1] == 200  # of which Eq. (9) makes a cost of 0
             assert env.state.age.tolist() == [1, 0, 1]
         assert ours[2].tolist() == ours[4]["log"]["ended_diverged"].tolist()
         assert ours[2].tolist() == [False, step == 0, False]

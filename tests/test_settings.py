@@ -56,6 +56,18 @@ def test_paper_settings_of_every_task():
     assert evaluate.EPISODE_STEPS == 1000
 
 
+@pytest.mark.parametrize("task, robots", [("flat", 256), ("rough", 256), ("velocity", 128)])
+def test_our_settings_of_a_task(task, robots):
+    """D29: episodes of 250 steps, a command for 125. D35: first episodes begin at random ages, and
+    joints at 0.5 to 1.5 of the nominal angles. D34: the lab's noise. D3: our clip. D9: robots.
+    D28: tied weights.
+    """
+    env_cfg, cfg = settle(dict(task=task), {})
+    assert (env_cfg.episode_steps, env_cfg.command_steps) == (250, 125)
+    assert (env_cfg.stagger, env_cfg.start_spread, env_cfg.noise) == (True, 0.5, 1.0)
+    assert (env_cfg.clip, cfg.num_envs, cfg.mirror) == ("power", robots, True)
+
+
 def test_paper_settings_of_curriculum():
     """IV-A.4 and V-E: ground up to 5 cm, a motor model, an end above 800 W, feet alone on the
     ground, five frames, lambda_0 = 0.005 (and so D38's 0.5). The lab's: 30 ms of latency, and a

@@ -13,6 +13,6 @@ numbers:
     9 metrics      Sections IV-D and V: episodes and statistics
 
 Numbers are chosen so that a line of arithmetic gives the answer, and the docstring of a test does
-it. Where they are dyadic, floating-point arithmetic is exact and `==` is meant. What the paper does
-not say is tested one folder above.
+it. Where they are dyadic, floating-point arithmetic is exact and `==` is meant. The world as a
+whole, its observations, contacts, commands and settings, is tested one folder above.
 """

@@ -158,12 +158,13 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
         for reward in ([0, 2, 0, 2], [2, 4, 2, 4])
     )
     assert low.advantage.ravel().tolist() == [0, 2, 0, 2]
+    assert high.advantage.ravel().tolist() == [2, 4, 2, 4]
     assert (eipo.estimate_J(low), eipo.estimate_J(high)) == (1, 3)
 
 
 @pytest.mark.parametrize(("task", "cost", "share"), [(6, 1, 0.75), (1, 0.25, 2 / 3), (1, 0, 1)])
 def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
-    """A_r = +-1 and A_f = +-2:
+    """A_r = 1, 3 and A_f = 2, -2, with deviations of 1 and 2:
 
     alpha = 6:   6 / (6 + 2)      = 3/4
     lam = 1/4:   1 / (1 + 2 / 4)  = 2/3
@@ -171,7 +172,7 @@ def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
 
     J is the mean of 1 and 3.
     """
-    advantage = np.array([[[1.0, 2.0]], [[-1.0, -2.0]]])
+    advantage = np.array([[[1.0, 2.0]], [[3.0, -2.0]]])
     target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
     log = eipo.summary(Estimate(advantage, target), task, cost, {})
     assert log == dict(J=2, task_share=pytest.approx(share))

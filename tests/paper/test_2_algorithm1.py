@@ -16,7 +16,7 @@ from support import EIPO, handmade, learner_of, trees_equal
 
 import eipo
 import networks
-from eipo import Dual
+from eipo import Dual, State
 from results.tables import LAMBDAS
 
 
@@ -166,6 +166,7 @@ def test_algorithm1_line06_rollout_acts_with_fresh_noise_and_knows_its_density()
 
 
 def test_algorithm1_has_its_fourteen_lines_in_order():
+    """The source of `eipo.eipo` is tagged with L1 to L14, each once."""
     tags = re.findall(r"# Alg\.1 L(\d+)", inspect.getsource(eipo.eipo))
     assert [int(tag) for tag in tags] == list(range(1, 15))
 
@@ -198,7 +199,13 @@ def test_algorithm1_line03_other_seed_other_start(monkeypatch):
     assert len(set(networks)) == len(set(envs)) == len(envs) == 4
 
 
-def test_algorithm1_policies_share_no_luck(with_effort):
+def test_algorithm1_line06_a_rollout_goes_on_from_where_the_robots_are(with_effort):
+    """In two iterations each environment is reset once, before the first."""
+    _, env, env_prime = with_effort
+    assert len(env.seeds) == len(env_prime.seeds) == 1
+
+
+def test_algorithm1_line03_line06_policies_share_no_luck(with_effort):
     """Line 3 starts with two policies, and all noise differs: 2 policies x 2 iterations x 8 steps
     x 16 robots.
     """
@@ -247,7 +254,16 @@ def test_algorithm1_line14_ends_after_its_iterations():
             assert [state.iteration for state, _ in steps] == list(range(end - left + 1, end + 1))
 
 
-def test_algorithm1_eipo_starts_as_ppo(with_effort):
+def test_algorithm1_without_a_state_begins_anew(with_effort):
+    """As from `init_state`, bit by bit."""
+    states, _, _ = with_effort
+    state, _ = next(eipo.eipo(Probe(near_half, effort), Probe(near_half, effort), EIPO))
+    assert trees_equal(state, states[1][0])
+    state, _ = next(eipo.ppo(Probe(near_half, effort), EIPO))
+    assert trees_equal(state, run(Probe(near_half, effort), None)[1][0])
+
+
+def test_algorithm1_line04_eipo_starts_as_ppo(with_effort):
     """D6. alpha_0 = 1 / lam, so the first update of pi is PPO's at that lam, bit by bit. If alpha
     is held, all are.
     """
@@ -272,6 +288,12 @@ def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
     assert start(lam=0.25) == Dual(4, 0)
 
 
+def test_ppo_without_energy_has_a_critic_of_the_task_alone():
+    """D44. lam f would be 0."""
+    state = eipo.init_state([Probe(one)], replace(EIPO, lam=0.0))
+    assert state.pi.streams == (("reward", 1.0),)
+
+
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
 def test_algorithm1_learns_in_every_branch(algo, lam):
     """One iteration moves every network and skips no minibatch, also at lam = 0."""
@@ -285,7 +307,60 @@ def test_algorithm1_learns_in_every_branch(algo, lam):
         assert log[skipped] == 0
 
 
-def test_algorithm1_line13_gets_the_gap_and_line_9_its_alpha(with_effort, monkeypatch):
+def test_algorithm1_line09_line10_line11_what_each_policy_learns_from(monkeypatch):
+    """Episodes of two steps end as by a fall, and pay r = 1 and f = 4 a step. V = 3 t for both,
+    gamma = 1/2, gae_lambda = 0, alpha = 2:
+
+                t = 0                    t = 1
+    target r    1 + 3/2 = 5/2            1
+    target f    4 + 3/2 = 11/2           4
+    A_r         5/2 - 0 = 5/2            1 - 3 = -2
+    A_f         11/2 - 0 = 11/2          4 - 3 = 1
+    pi          2 * 5/2 - 11/2 = -1/2    2 (-2) - 1 = -5
+
+    pi' learns from A_r alone. Nothing is normalised before it is mixed (D33).
+    """
+    seen = []
+
+    def spy(learner, tau, target, advantage, *_):
+        seen.append((target[:2, 0].tolist(), advantage[:2, 0].tolist()))
+        return learner, dict(kl=0.0)
+
+    monkeypatch.setattr(eipo, "ppo_update", spy)
+    critic, others = np.array([[-1.0], [2.0], [1.0]]), (np.zeros((2, 1)), np.zeros((3, 1)))
+    pi, pi_prime = (learner_of(handmade(np.tile(critic, heads), *others)) for heads in (2, 1))
+    envs = [Probe(one, lambda x, t, a: 4 + 0 * x, length=2) for _ in range(2)]
+    for env in envs:
+        env.reset(0)
+    state = State(0, jax.random.PRNGKey(0), pi, pi_prime, Dual(2.0, 0.0))
+    next(eipo.eipo(*envs, replace(EIPO, gae_lambda=0.0), state))
+    assert seen == [([[2.5, 5.5], [1.0, 4.0]], [-0.5, -5.0]), ([[2.5], [1.0]], [2.5, -2.0])]
+
+
+def test_algorithm1_line12_the_gap_is_of_the_policies_before_their_updates(monkeypatch):
+    """Episodes are cut by time after one step, and pay 1 and 3. With V = 0 the gap is 1 - 3 = -2.
+    Lines 9 and 11 give the policies other critics, which would value what follows.
+    """
+
+    def flat_critic(heads, weight):
+        weights = np.full((3, heads), weight)
+        return learner_of(handmade(weights, np.zeros((2, 1)), np.zeros((3, 1))))
+
+    def update(learner, *_):
+        heads = len(learner.streams)
+        return flat_critic(heads, 64.0 * heads), dict(kl=0.0)
+
+    monkeypatch.setattr(eipo, "ppo_update", update)
+    env, env_prime = Probe(one, truncates=True), Probe(lambda x, t, a: 3 + 0 * x, truncates=True)
+    env.reset(0)
+    env_prime.reset(1)
+    policies = flat_critic(2, 0.0), flat_critic(1, 0.0)
+    state = State(0, jax.random.PRNGKey(0), *policies, Dual(1.0, 0.0))
+    _, metrics = next(eipo.eipo(env, env_prime, EIPO, state))
+    assert metrics["gap"] == -2
+
+
+def test_algorithm1_line12_line13_gets_the_gap_and_line_9_its_alpha(with_effort, monkeypatch):
     """At a scale of 1/2 (D10) pi earns 1 a step and pi_prime 3, in episodes of one step: J = 1 and
     J' = 3, so the gap is -2. What line 13 returns is what the next line 9 uses.
     """

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import terrain
 from terrain import fade, height, make_ground, perlin, tile, wrap
 
 # of the lattice points (0, 0), (0, 1) and (1, 0), (1, 1): no two components alike
@@ -65,6 +66,18 @@ def test_roughness_is_peak_to_peak(roughness):
     assert heights.shape == (80, 80)
     assert heights.max() - heights.min() == pytest.approx(roughness, rel=1e-12)
     assert abs(heights.mean()) <= 0.05 * roughness
+
+
+def test_slopes_are_random_unit_vectors(monkeypatch):
+    """IV-A.2. 16 x 16 of them, whose mean of a component has a deviation of sqrt(1/2 / 256) =
+    0.044.
+    """
+    seen, real = [], terrain.perlin
+    monkeypatch.setattr(terrain, "perlin", lambda *xyg: seen.append(xyg[2]) or real(*xyg))
+    tile(rng(), 0.15)
+    (gradients,) = seen
+    assert np.linalg.norm(gradients, axis=-1) == pytest.approx(np.ones((16, 16)))
+    assert np.abs(gradients.mean((0, 1))).max() < 0.2
 
 
 @pytest.mark.parametrize(("cells_per_m", "points"), [(1, 20), (2, 10), (4, 5), (5, 4)])

@@ -80,6 +80,14 @@ def test_eq09_cost_of_a_step(clip, expected):
     assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
 
 
+@pytest.mark.parametrize(("clip", "ends"), [("torque", False), ("power", True)])
+def test_the_limit_of_power_clips_as_eq09(clip, ends):
+    """D41. The robot of the test above draws 29.2 W by the print, and 50.2 W by power."""
+    env = make(1, clip=clip, max_power=40.0, **FROZEN)
+    place(env, qd=[8.0] + [0.0] * 11)
+    assert still(env)[2].tolist() == [ends]
+
+
 @pytest.mark.go1
 def test_eq09_cost_at_the_torque_limit():
     """The torque of Eq. (9) is the one that is applied, not the one that was asked for.
@@ -107,21 +115,26 @@ def test_eq11_smoothness():
 
 @pytest.mark.go1
 def test_eq11_takes_the_mean_of_the_physics_steps():
-    """D17. Every joint is asked for 1/4 rad more. Its speeds are 0, 2, 4, 6 and 8 rad/s, so its
+    """D17. Every joint is asked for 1/4 rad more. Its speeds are 0, 2, 4, 6 and 10 rad/s, so its
     torques 5 - qd / 2 are 5, 4, 3 and 2 N m, with a mean square of 13.5:
 
-    Eq. (11):  2e-4 * 12 * 13.5 + 1e-2 (4 * 4 + 8 * 1) + 2.5e-7 * 12 (8 / 0.02)^2
-               = 0.0324 + 0.24 + 0.48 = 0.7524
-    Eq. (9):   12 (5 * 1 + 4 * 3 + 3 * 5 + 2 * 7) / 4 + 0.7 * 13.5 (8 + 4 * 4/9) + 42
-               = 138 + 92.4 + 42 = 272.4 W, which is logged, without a bonus
+    Eq. (11):  2e-4 * 12 * 13.5 + 1e-2 (4 * 4 + 8 * 1) + 2.5e-7 * 12 (10 / 0.02)^2
+               = 0.0324 + 0.24 + 0.75 = 1.0224
+    Eq. (9):   12 (5 * 1 + 4 * 3 + 3 * 5 + 2 * 8) / 4 + 0.7 * 13.5 (8 + 4 * 4/9) + 42
+               = 144 + 92.4 + 42 = 278.4 W, which is logged, without a bonus
+
+    D15. The acceleration is that of the whole step, and the action counts, not its change: the
+    action before was the same.
     """
     env = make(aux="smooth")
     place(env)
+    env.state.action[:] = QUARTER
+    gains = iter((2.0, 2.0, 2.0, 4.0))
 
     def faster():
-        env.qvel[:, 6:] += 2.0
+        env.qvel[:, 6:] += next(gains)
 
     env.batch.step = faster
     info = env.step(QUARTER)[4]
-    assert info["cost"] == pytest.approx([0.7524] * 2)
-    assert info["log"]["power"] == pytest.approx([272.4] * 2)
+    assert info["cost"] == pytest.approx([1.0224] * 2)
+    assert info["log"]["power"] == pytest.approx([278.4] * 2)

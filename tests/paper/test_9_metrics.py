@@ -126,6 +126,7 @@ def test_iqm_by_hand():
 
 
 def test_an_interval_is_of_2000_samples():
+    """SciPy draws them a hundred at a time, of eight numbers each."""
     drawn = []
 
     def mean(x, axis):
@@ -159,6 +160,16 @@ def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(stat
     seeds = [np.zeros(5), np.array([8.0]), np.zeros(5), np.zeros(5)]
     row = figures.summarise("x", seeds, statistic)
     assert (row["x_seeds_low"], row["x_seeds_high"]) == (0, high)
+
+
+@pytest.mark.parametrize("seeds, high", [([1, 1, 0, 0, 0], 0.8), ([1, 0, 0], 1)])
+def test_interval_over_seeds_is_of_95_percent(seeds, high):
+    """2.5 % lie above it. Of five seeds, two of which have 1, all five draws are 1 by a chance of
+    0.4^5 = 1.0 %, and four or more by 8.7 %: it ends at four of five. Of three seeds, one of which
+    has 1, all three are 1 by a chance of 1/27 = 3.7 %: it ends at 1.
+    """
+    row = figures.summarise("x", [np.array([float(x)]) for x in seeds])
+    assert row["x_seeds_high"] == pytest.approx(high)
 
 
 def test_summarise_without_an_interval():
