@@ -147,8 +147,7 @@ def answers(runs):
             continue
         for nominal in (False, True):
             yield from answers_of(group, kinds, nominal)
-        shown = {name: arm for name, arm in kinds.items() if is_ppo(name) or is_eipo(name)}
-        found = {x for arm in shown.values() for run in arm for x in tables.commits(run.row)}
+        found = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
         yield f"Commits: {', '.join(sorted(found))}."
         yield ""
 
@@ -167,8 +166,6 @@ def answers_of(group, kinds, nominal):
     yield f"| {' | '.join((f'{group}, {starts}', 'score', *columns, 'seeds'))} |"
     yield "|---" * 9 + "|"
     for kind, arm in kinds.items():
-        if not (is_ppo(kind) or is_eipo(kind)):
-            continue
         difference = of_score.between(score[kind], score[best])
         less, word = shown(difference), verdict(difference, margin)
         if kind == best:
@@ -178,8 +175,8 @@ def answers_of(group, kinds, nominal):
             word = {"surely good": "no worse", "surely not": "worse"}.get(word, "open")
             ratio = shown(np.exp(of_power.between(power[kind], power[least])), "")
             arrived = f"{sum(arrives(last_lam(run), lams) for run in arm)} of {len(arm)}"
-            if "PPO(0.005)" in kinds:
-                other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
+        if not is_ppo(kind) and "PPO(0.005)" in kinds:
+            other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
         cells = f"{score[kind].mean():.3f}", less, word
         cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
         yield f"| {kind} | {' | '.join(cells)} |"
@@ -188,14 +185,15 @@ def answers_of(group, kinds, nominal):
 
 def pooled(kinds, name, nominal):
     """Of the kinds of one group the score, which is one of evaluate.numbers, and the logarithm of
-    the power, {kind: (seeds,)} each, and the Spread of either over the kinds that walk.
+    the power, {kind: (seeds,)} each, and the Spread of either over the arms that walk.
     """
     score, power, walking = {}, {}, []
     for kind, arm in kinds.items():
         played = [evaluate.numbers(tables.evaluation(run.episodes, nominal)) for run in arm]
         score[kind] = np.array([x[name] for x in played])
         power[kind] = np.log([x["power"] for x in played])
-        if np.mean([x["v_x"] for x in played]) > WALKS:
+        walks = np.mean([x["v_x"] for x in played]) > WALKS
+        if walks and (is_ppo(kind) or is_eipo(kind)):  # what has other settings is no arm
             walking.append(kind)
     return score, power, *(spread([x[kind] for kind in walking]) for x in (score, power))
 

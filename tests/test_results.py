@@ -211,16 +211,22 @@ def test_weights_by_hand():
     sqrt(1/2 + 1/2) = 0.215: good, not surely. So the least power is 100 W, and EIPO draws twice as
     much. Its difference is -0.01, +- 4.3027 x 0.05 x sqrt(1 + 1/2) = 0.263. Powers do not spread.
     Its last lambda is 1 / 200 = 0.005, a good one.
+
+    PPO(0.005) with other settings, which scores 1.3 and 1.5, is compared, too, but no weight, and
+    its spread does not count: 1.4 - 1.45 = -0.05, and 1.4 - 1.43 = -0.03, +- 0.215.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.43, 1.43], [100, 100], algo="ppo", lam=0.005)
     runs += seeds("c", [1.44], [200])
+    runs += seeds("d", [1.3, 1.5], [100, 100], algo="ppo", lam=0.005, num_envs=128)
     lines = [line.strip("| ").replace(" | ", "; ") for line in weights.answers(runs)]
-    assert lines[2:5] == [
+    assert lines[2:6] == [
         "EIPO; 1.440; -0.010 [-0.273, +0.253]; open; 200 W; 2.00 [2.00, 2.00]; 1 of 1; "
         "+0.010 [-0.253, +0.273]; 1",
         "PPO(0); 1.450; ; best; 400 W; ; ; ; 2",
         "PPO(0.005); 1.430; -0.020 [-0.235, +0.195]; good; 100 W; ; ; ; 2",
+        "PPO(0.005), num_envs 128; 1.400; -0.050 [-0.265, +0.165]; not good; 100 W; ; ; "
+        "-0.030 [-0.245, +0.185]; 2",
     ]
 
 
