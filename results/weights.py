@@ -4,6 +4,7 @@
 """
 
 from itertools import cycle
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ def draw(axes, rows, column, zero, colours):
     at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
     axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
     eipo = [row for row in rows if is_eipo(row["kind"])]
-    for mine in tables.grouped(eipo, "kind").values():
+    for mine in tables.grouped(sorted(eipo, key=itemgetter("lam")), "kind").values():
         name = label(mine[0])
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
