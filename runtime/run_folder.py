@@ -18,6 +18,7 @@ import platform
 import re
 import shlex
 import subprocess
+import sys
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from importlib.metadata import version
@@ -29,7 +30,7 @@ import go1
 import go1_env
 import policy
 import tasks
-from runtime.cli import Refused, tuples, warn
+from runtime.cli import Refused, say, tuples
 
 try:
     import fcntl
@@ -83,7 +84,8 @@ def lock(folder, wait=False):
         except BlockingIOError:
             raise Refused(f"{folder} is being trained by another process: stop it") from None
         except OSError as error:  # a file system of a network may have no locks
-            warn(f"{folder} cannot be locked ({error}): see to it that nothing else writes there")
+            line = f"warning: {folder} cannot be locked ({error}): let nothing else write there"
+            say(line, sys.stderr)
         yield
 
 
