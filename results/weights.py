@@ -18,7 +18,7 @@ from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
-COLOURS = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195"  # of the kinds of EIPO, in turn
+COLOURS = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195", "#7F8C00"  # kinds of EIPO
 
 
 def is_ppo(kind):
@@ -48,16 +48,18 @@ def last_lam(run):
 def weights(runs):
     """Score and power over lambda: rows of a CSV and a Figure, with a panel for each group of runs.
 
-    A dot is a run of PPO. An arrow is a run of EIPO, from lambda_0 to its last lambda. In the grey
-    band PPO scores as well as with the best weight, within the margin.
+    A dot is a run of PPO, and an open one stands. An arrow is a run of EIPO, from lambda_0 to its
+    last lambda. In the grey band PPO scores as well as with the best weight, within the margin.
     """
     rows = []
     for group, kinds in by_group(runs).items():
         for name, arm in kinds.items():
             each, _ = tables.means(arm)
-            for run, score, power in zip(arm, each[score_of(group)], each["power"], strict=True):
+            columns = each[score_of(group)], each["power"], each["J/m"]
+            for run, score, power, energy in zip(arm, *columns, strict=True):
                 row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
-                rows.append(row | dict(lam_end=last_lam(run), score=score, power=power))
+                row |= dict(lam_end=last_lam(run), score=score, power=power, energy=energy)
+                rows.append(row)
     figure, panels = panels_by("group", rows, 2)
     labels = dict.fromkeys(label(row) for row in rows if is_eipo(row["kind"]))
     colours = dict(zip(labels, cycle(COLOURS)))  # one start has one colour in all panels
@@ -102,17 +104,19 @@ def draw(axes, rows, column, zero, colours):
     line = sorted({*LAMBDAS, *means})  # it has a gap where a weight was not run
     y = [means.get(lam, np.nan) for lam in line]
     axes.plot([lam or zero for lam in line], y, color=BROWN, linewidth=1)
-    at, y = [row["lam"] or zero for row in ppo], [row[column] for row in ppo]
-    axes.plot(at, y, ".", color=BROWN, markersize=5, label="PPO, a dot for each seed")
+    for name, face, stands in (("PPO", BROWN, False), ("PPO that stands", "white", True)):
+        dots = [row for row in ppo if np.isinf(row["energy"]) == stands]
+        at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
+        axes.plot(at, y, "o", color=BROWN, markerfacecolor=face, markersize=4, label=name)
     eipo = [row for row in rows if is_eipo(row["kind"])]
     for mine in tables.grouped(sorted(eipo, key=itemgetter("lam")), "kind").values():
         name = label(mine[0])
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
-            arrow = dict(marker=">" if end > start else "<", markevery=[1], markersize=5)
-            look = dict(color=colours[name], linewidth=1, alpha=0.8)
-            axes.plot([start, end], [row[column]] * 2, **arrow, **look, label="" if i else name)
-            axes.plot([start], [row[column]], "|", **look)
+            look = dict(color=colours[name], linewidth=1, alpha=0.8, label="" if i else name)
+            axes.plot([start, end], [row[column]] * 2, marker="|", markevery=[0], **look)
+            look |= dict(label="", markersize=5)
+            axes.plot([end], [row[column]], ">" if end > start else "<", **look)
     axes.grid(alpha=0.3)
     return means
 

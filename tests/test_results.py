@@ -275,21 +275,26 @@ def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arr
 
 
 def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
-    """lambda 0 stands left of 0.0001, and the line ends where no weight was run. EIPO's arrow goes
-    from 0.02 to 1 / 200, leftwards, with a stroke where it starts.
+    """lambda 0 stands left of 0.0001, and the line ends where no weight was run. A robot that
+    stands has an open dot. EIPO's arrow goes from 0.02 to 1 / 200, leftwards, with a stroke where
+    it starts.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.3], [100], algo="ppo", lam=0.0001)
+    runs[0].episodes["v_x"][:] = 0
     runs += seeds("c", [1.44], [200], lam=0.02)
     rows, figure = weights.weights(runs)
     assert [(row["lam"], row["lam_end"]) for row in rows if row["run"] == "c0"] == [(0.02, 0.005)]
     figure.draw_without_rendering()
-    line, dots, arrow, start = figure.axes[0].lines
+    line, dots, stands, arrow, head = figure.axes[0].lines
     assert np.allclose(line.get_xydata()[:2], [[0.0001 / 3, 1.45], [0.0001, 1.3]])
     assert np.isnan(line.get_ydata()[2:]).all()
-    assert np.allclose(dots.get_xydata(), [[0.0001 / 3, 1.4], [0.0001 / 3, 1.5], [0.0001, 1.3]])
+    assert np.allclose(dots.get_xydata(), [[0.0001 / 3, 1.5], [0.0001, 1.3]])
+    assert np.allclose(stands.get_xydata(), [[0.0001 / 3, 1.4]])
+    assert stands.get_markerfacecolor() == "white" != dots.get_markerfacecolor()
     assert np.allclose(arrow.get_xydata(), [[0.02, 1.44], [0.005, 1.44]])
-    assert arrow.get_marker() == "<" and np.allclose(start.get_xydata(), [[0.02, 1.44]])
+    assert arrow.get_marker() == "|" and arrow.get_markevery() == [0]
+    assert head.get_marker() == "<" and np.allclose(head.get_xydata(), [[0.005, 1.44]])
     (band,) = figure.axes[0].patches
     assert np.allclose(band.get_xy()[1] + np.array([0, band.get_height()]), [1.42, 1.45])
 
@@ -299,7 +304,8 @@ def test_a_start_of_eipo_has_one_colour_and_power_one_axis_on_all_tasks():
     runs = seeds("a", [1.4], [200], lam=0.005) + seeds("b", [1.3], [100], lam=0.02)
     runs += seeds("c", [1.0], [90], task="rough", lam=0.02)
     _, figure = weights.weights(runs)
-    (_, _, flat, _, strict, _), (_, _, rough, _) = (axes.lines for axes in figure.axes[:2])
+    flat, strict = figure.axes[0].lines[3::2]
+    (rough,) = figure.axes[1].lines[3::2]
     assert flat.get_color() != strict.get_color() == rough.get_color()
     assert figure.axes[2].get_ylim() == figure.axes[3].get_ylim()
 
