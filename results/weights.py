@@ -198,7 +198,8 @@ def pooled(kinds, name, nominal):
         score[kind] = np.array([x[name] for x in played])
         power[kind] = np.log([x["power"] for x in played])
         walks = np.mean([x["v_x"] for x in played]) > WALKS
-        if walks and (is_ppo(kind) or is_eipo(kind)):  # what has other settings is no arm
+        plain = is_ppo(kind) or (is_eipo(kind) and "," not in kind)
+        if walks and plain:  # what has other settings is no arm
             walking.append(kind)
     return score, power, *(spread([x[kind] for kind in walking]) for x in (score, power))
 

@@ -213,16 +213,20 @@ def test_weights_by_hand():
     Its last lambda is 1 / 200 = 0.005, a good one.
 
     PPO(0.005) with other settings, which scores 1.3 and 1.5, is compared, too, but no weight, and
-    its spread does not count: 1.4 - 1.45 = -0.05, and 1.4 - 1.43 = -0.03, +- 0.215.
+    its spread does not count: 1.4 - 1.45 = -0.05, and 1.4 - 1.43 = -0.03, +- 0.215. Nor does that
+    of EIPO with other settings, which scores 1.3 and 1.6: 1.45 - 1.45 = 0, and 1.45 - 1.43 = 0.02.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.43, 1.43], [100, 100], algo="ppo", lam=0.005)
     runs += seeds("c", [1.44], [200])
     runs += seeds("d", [1.3, 1.5], [100, 100], algo="ppo", lam=0.005, num_envs=128)
+    runs += seeds("e", [1.3, 1.6], [200, 200], num_envs=512)
     lines = [line.strip("| ").replace(" | ", "; ") for line in weights.answers(runs)]
-    assert lines[2:6] == [
+    assert lines[2:7] == [
         "EIPO; 1.440; -0.010 [-0.273, +0.253]; open; 200 W; 2.00 [2.00, 2.00]; 1 of 1; "
         "+0.010 [-0.253, +0.273]; 1",
+        "EIPO, num_envs 512; 1.450; +0.000 [-0.215, +0.215]; open; 200 W; 2.00 [2.00, 2.00]; "
+        "2 of 2; +0.020 [-0.195, +0.235]; 2",
         "PPO(0); 1.450; ; best; 400 W; ; ; ; 2",
         "PPO(0.005); 1.430; -0.020 [-0.235, +0.195]; good; 100 W; ; ; ; 2",
         "PPO(0.005), num_envs 128; 1.400; -0.050 [-0.265, +0.165]; not good; 100 W; ; ; "
