@@ -18,7 +18,7 @@ from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
-COLOURS = "#0072B2", "#00B0C8", "#4D4DFF", "#009E73", "#7A5195", "#7F8C00"  # kinds of EIPO
+COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195", "#7F8C00"  # kinds of EIPO
 
 
 def is_ppo(kind):
@@ -113,10 +113,10 @@ def draw(axes, rows, column, zero, colours):
         name = label(mine[0])
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
-            look = dict(color=colours[name], linewidth=1, alpha=0.8, label="" if i else name)
-            axes.plot([start, end], [row[column]] * 2, marker="|", markevery=[0], **look)
-            look |= dict(label="", markersize=5)
-            axes.plot([end], [row[column]], ">" if end > start else "<", **look)
+            colour, y = dict(color=colours[name]), row[column]
+            shaft = dict(marker="|", markevery=[0], linewidth=1, alpha=0.5, **colour)
+            axes.plot([start, end], [y, y], **shaft, label="" if i else name)
+            axes.plot([end], [y], ">" if end > start else "<", markersize=6, **colour)
     axes.grid(alpha=0.3)
     return means
 
