@@ -18,7 +18,7 @@ from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
 WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
 BROWN = "#8C510A"
-COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195", "#7F8C00"  # kinds of EIPO
+COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195", "#C00000"  # kinds of EIPO
 
 
 def is_ppo(kind):
@@ -48,7 +48,7 @@ def last_lam(run):
 def weights(runs):
     """Score and power over lambda: rows of a CSV and a Figure, with a panel for each group of runs.
 
-    A dot is a run of PPO, and an open one stands. An arrow is a run of EIPO, from lambda_0 to its
+    A dot is a run of PPO, open if it does not walk. An arrow is a run of EIPO, from lambda_0 to its
     last lambda. In the grey band PPO scores as well as with the best weight, within the margin.
     """
     rows = []
@@ -104,7 +104,7 @@ def draw(axes, rows, column, zero, colours):
     line = sorted({*LAMBDAS, *means})  # it has a gap where a weight was not run
     y = [means.get(lam, np.nan) for lam in line]
     axes.plot([lam or zero for lam in line], y, color=BROWN, linewidth=1)
-    for name, face, stands in (("PPO", BROWN, False), ("PPO that stands", "white", True)):
+    for name, face, stands in (("PPO", BROWN, False), ("PPO that does not walk", "white", True)):
         dots = [row for row in ppo if np.isinf(row["energy"]) == stands]
         at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
         axes.plot(at, y, "o", color=BROWN, markerfacecolor=face, markersize=4, label=name)
