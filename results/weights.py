@@ -186,6 +186,13 @@ def answers_of(group, kinds, nominal):
         cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
         yield f"| {kind} | {' | '.join(cells)} |"
     yield ""
+    for kind in kinds:  # with other settings beside the same without
+        plain = kind.split(",")[0]
+        if plain != kind and plain in kinds:
+            difference = shown(of_score.between(score[kind], score[plain]))
+            ratio = shown(np.exp(of_power.between(power[kind], power[plain])), "")
+            yield f"{kind}, scores {difference} beside {plain}, on {ratio} times the power."
+            yield ""
 
 
 def pooled(kinds, name, nominal):

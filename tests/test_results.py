@@ -215,6 +215,7 @@ def test_weights_by_hand():
     PPO(0.005) with other settings, which scores 1.3 and 1.5, is compared, too, but no weight, and
     its spread does not count: 1.4 - 1.45 = -0.05, and 1.4 - 1.43 = -0.03, +- 0.215. Nor does that
     of EIPO with other settings, which scores 1.3 and 1.6: 1.45 - 1.45 = 0, and 1.45 - 1.43 = 0.02.
+    Both are compared with the same without these settings: 1.45 - 1.44 = 0.01, +- 0.263, and -0.03.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.43, 1.43], [100, 100], algo="ppo", lam=0.005)
@@ -232,6 +233,14 @@ def test_weights_by_hand():
         "PPO(0.005), num_envs 128; 1.400; -0.050 [-0.265, +0.165]; not good; 100 W; ; ; "
         "-0.030 [-0.245, +0.185]; 2",
     ]
+    beside = [line for line in lines if " beside " in line]
+    assert beside[:2] == [
+        "EIPO, num_envs 512, scores +0.010 [-0.253, +0.273] beside EIPO, "
+        "on 1.00 [1.00, 1.00] times the power.",
+        "PPO(0.005), num_envs 128, scores -0.030 [-0.245, +0.185] beside PPO(0.005), "
+        "on 1.00 [1.00, 1.00] times the power.",
+    ]
+    assert len(beside) == 4  # and once more from nominal starts
 
 
 def test_weights_of_nominal_starts_have_their_own_score_and_power():
