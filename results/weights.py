@@ -158,46 +158,64 @@ def answers(runs):
 
 
 def answers_of(group, kinds, nominal):
-    """The table of one group, from random starts or from nominal ones."""
-    score, power, of_score, of_power = pooled(kinds, score_of(group), nominal)
+    """The table of one group, from random starts or from nominal ones, and after it the kinds with
+    other settings beside the same without.
+    """
+    arms = pooled(kinds, score_of(group), nominal)
     margin = MARGINS[score_of(group)]
     ppo = [kind for kind in kinds if is_ppo(kind)]
-    best = max(ppo, key=lambda kind: score[kind].mean())
-    good = [kind for kind in ppo if score[kind].mean() > score[best].mean() - margin]
-    least = min(good, key=lambda kind: power[kind].mean())
+    best = max(ppo, key=lambda kind: arms.score[kind].mean())
+    good = [kind for kind in ppo if arms.score[kind].mean() > arms.score[best].mean() - margin]
+    least = min(good, key=lambda kind: arms.power[kind].mean())
     lams = [kinds[kind][0].settings["lam"] for kind in good]
     starts = "nominal starts" if nominal else "random starts"
     columns = f"less {best}", "", "power", f"of {least}", "last lambda is good", "less PPO(0.005)"
     yield f"| {' | '.join((f'{group}, {starts}', 'score', *columns, 'seeds'))} |"
     yield "|---" * 9 + "|"
     for kind, arm in kinds.items():
-        difference = of_score.between(score[kind], score[best])
+        difference = arms.less(kind, best)
         less, word = shown(difference), verdict(difference, margin)
         if kind == best:
             less, word = "", "best"
         ratio = arrived = other = ""
         if is_eipo(kind):
             word = {"surely good": "no worse", "surely not": "worse"}.get(word, "open")
-            ratio = shown(np.exp(of_power.between(power[kind], power[least])), "")
+            ratio = shown(arms.times(kind, least), "")
             arrived = f"{sum(arrives(last_lam(run), lams) for run in arm)} of {len(arm)}"
         if not is_ppo(kind) and "PPO(0.005)" in kinds:
-            other = shown(of_score.between(score[kind], score["PPO(0.005)"]))
-        cells = f"{score[kind].mean():.3f}", less, word
-        cells += f"{np.exp(power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
+            other = shown(arms.less(kind, "PPO(0.005)"))
+        cells = f"{arms.score[kind].mean():.3f}", less, word
+        cells += f"{np.exp(arms.power[kind].mean()):.0f} W", ratio, arrived, other, str(len(arm))
         yield f"| {kind} | {' | '.join(cells)} |"
     yield ""
-    for kind in kinds:  # with other settings beside the same without
+    for kind in kinds:
         plain = kind.split(",")[0]
         if plain != kind and plain in kinds:
-            difference = shown(of_score.between(score[kind], score[plain]))
-            ratio = shown(np.exp(of_power.between(power[kind], power[plain])), "")
-            yield f"{kind}, scores {difference} beside {plain}, on {ratio} times the power."
+            less, ratio = shown(arms.less(kind, plain)), shown(arms.times(kind, plain), "")
+            yield f"{kind}, scores {less} beside {plain}, on {ratio} times the power."
             yield ""
 
 
+class Pooled(NamedTuple):
+    """The kinds of one group: what their seeds have, and how much seeds differ."""
+
+    score: dict  # {kind: (seeds,)}
+    power: dict  # {kind: (seeds,)}, its logarithm
+    of_score: Spread
+    of_power: Spread
+
+    def less(self, kind, other):
+        """The score of one kind less that of another, and its interval."""
+        return self.of_score.between(self.score[kind], self.score[other])
+
+    def times(self, kind, other):
+        """The power of one kind as a ratio to that of another, and its interval."""
+        return np.exp(self.of_power.between(self.power[kind], self.power[other]))
+
+
 def pooled(kinds, name, nominal):
-    """Of the kinds of one group the score, which is one of evaluate.numbers, and the logarithm of
-    the power, {kind: (seeds,)} each, and the Spread of either over the arms that walk.
+    """The Pooled of the kinds of one group, whose score is one of evaluate.numbers. The Spreads are
+    over the arms that walk.
     """
     score, power, walking = {}, {}, []
     for kind, arm in kinds.items():
@@ -208,7 +226,7 @@ def pooled(kinds, name, nominal):
         plain = is_ppo(kind) or (is_eipo(kind) and "," not in kind)
         if walks and plain:  # what has other settings is no arm
             walking.append(kind)
-    return score, power, *(spread([x[kind] for kind in walking]) for x in (score, power))
+    return Pooled(score, power, *(spread([x[kind] for kind in walking]) for x in (score, power)))
 
 
 def verdict(difference, margin):
