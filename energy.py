@@ -55,7 +55,7 @@ def total_power(torque, qd, clip):
 
 
 def energy_cost(torque, qd, clip):
-    """The auxiliary cost f of Eq. (2) [W]: r_energy of Eq. (9), power less the bonus of 200."""
+    """The auxiliary cost f of Eq. (3) [W]: r_energy of Eq. (9), power less the bonus of 200."""
     return total_power(torque, qd, clip) - SURVIVAL
 
 

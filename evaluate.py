@@ -38,7 +38,7 @@ class Episodes(NamedTuple):
     """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
     performance: np.ndarray  # [-] sum of the task reward / 1000; after a fall it counts as 0 [V-A]
-    fell: np.ndarray  # bool, whether the episode ended early, by a fall or the limit of power
+    fell: np.ndarray  # bool, ended early: a fall, the limit of power, or numbers blew up
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
     peak: np.ndarray  # [m/s] largest speed ahead

@@ -2,19 +2,19 @@
 
 The mirror M of a Go1 swaps its right and left legs, changes the signs of v_y, the yaw rate, roll
 and the angles of the hips, and moves the clock by half a period. Robot and tasks are symmetric, but
-for 1 to 2 mm in the centres of mass (D28). So is Eq. (9) with the power clip, but not with the
-torque clip (D3). So with the power clip a policy loses nothing if it commutes with M: if
-pi(M s) = M pi(s).
+for 1 to 2 mm in the centres of mass and slightly skewed inertias (D28). So is Eq. (9) with the
+power clip, but not with the torque clip (D3). So with the power clip a policy loses nothing if it
+commutes with M: if pi(M s) = M pi(s).
 
 Half of the units of a hidden layer are right ones, and the left ones see the mirrored world with
 the same weights. That alone would cost as much as an ordinary MLP. But x is the sum of an even
 part, (x + M x) / 2, which M keeps, and of an odd part, (x - M x) / 2, which M negates, and each has
-about half as many numbers as x, since the rest are those again, up to signs, or 0. So
+about half as many numbers as x, since the others repeat those, up to signs, or are 0. So
 
     right units   even @ A + odd @ B + bias
     left units    even @ A - odd @ B + bias
 
-take two products of half the size, and half as long.
+take two products of a quarter of an ordinary layer's size, and so half as long.
 
 A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array may have
 several parts, one after the other, and a list of mirrors, one for each. An environment has such

@@ -4,8 +4,9 @@ params    {"actor", "critic", "estimator": MLP, "log_std": (A,) of the action's 
 D, P, A   widths of an observation, of what is privileged (true velocity) and of an action
 K         heads of the critic, the outputs for the value of the task and, for pi, of the cost
 
-An MLP is a function of arrays. Anything that is called like one may stand in its place, as in
-`train.py` (D28). D-numbers are entries of deviations.md; the lab is the authors' group.
+An MLP is a function of arrays. Anything that is called like one, and has `layers` like one, may
+stand in its place, as in `train.py` (D28). D-numbers are entries of deviations.md; the lab is the
+authors' group.
 """
 
 from dataclasses import dataclass

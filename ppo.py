@@ -45,7 +45,7 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    # ((name, factor), ...): a head of the critic each, which learns factor * reward or cost
+    # ((name, factor), ...): one head of the critic each, which learns factor * reward or cost
     streams: tuple = field(metadata=dict(static=True))
 
 

@@ -7,10 +7,10 @@ The functions of the equations take
     command:  (..., 3)  v_x, v_y [m/s] and yaw rate [rad/s] that were asked for
 
 with any leading batch shape. `flat`, `rough`, `max_velocity` and `curriculum` return (...,): the
-reward r of Eq. (1) for one control step. It has no unit, but that of Eq. (7) is in m/s. The learner
-scales it by 0.02 (`eipo.Config.reward_scale`). The paper names no frame of reference for the
-velocity. The environment passes the velocity over ground, in the horizontal frame that is turned
-with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
+reward r of Eq. (1) for one control step. It has no unit, except that of Eq. (7), in m/s. The
+learner scales it by 0.02 (`eipo.Config.reward_scale`). The paper names no frame of reference for
+the velocity. The environment passes the velocity over ground, in the horizontal frame that is
+turned with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ def unpack(velocity, command):
 
 
 def flat(velocity, command):
-    """Eq. (5), at most 1.5. Because of the min it is no error to run faster than asked."""
+    """Eq. (5), at most 1.5. Because of the min, running faster than asked costs nothing."""
     v_x, v_y, w_z, v_x_cmd, v_y_cmd, w_z_cmd = unpack(velocity, command)
     linear = exp(-(square(minimum(v_x - v_x_cmd, 0)) + square(v_y - v_y_cmd)) / SIGMA_VXY)
     return linear + 0.5 * exp(-square(w_z - w_z_cmd) / SIGMA_WZ)

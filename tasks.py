@@ -19,7 +19,7 @@ import rewards
 class Commands:
     """What robots are asked to do, which is nothing. Classes of their own ask for more."""
 
-    example = np.zeros(3)  # what play.py asks for, and evaluate.py for shares of
+    example = np.zeros(3)  # play.py asks for this, and evaluate.py for parts of it
     low = high = np.zeros(3)  # the ends of the viewer's sliders
     learns = False  # whether `record` does anything
     weights = np.zeros(0)  # what was learned

@@ -57,7 +57,7 @@ def resumed_settings(folder, given):
 def make_envs(env_cfg, cfg, threads):
     """The environments of pi and, for EIPO, of pi_prime, which share num_envs and one curriculum.
 
-    So J(pi) and J(pi') compare (D23).
+    So J(pi) and J(pi') can be compared (D23).
     """
     policies = 2 if cfg.algo == "eipo" else 1
     commands = tasks.TASKS[env_cfg.task].commands()
