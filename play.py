@@ -72,13 +72,19 @@ def play(env, pi, seed=0):
         yield info["log"]
 
 
+def kind(pi):
+    """What a Policy comes from, as tables say it: EIPO or PPO(lambda), and which cost or reward."""
+    name = f"PPO({pi.about['lam']:g})" if pi.about["algo"] == "ppo" else "EIPO"
+    aux, reward = pi.config["aux"], pi.config["reward"]
+    return name + " smooth" * (aux == "smooth") + " shaped" * (reward == "shaped")
+
+
 def names_of(folders, policies):
-    """What runs are called side by side: EIPO and PPO(lambda), or else by their folders.
+    """What runs are called side by side: by their kinds, or else by their folders.
 
     A policy of an older run does not say what it is, and no two runs shall have the same name.
     """
-    abouts = [pi.about for pi in policies if pi.about]
-    kinds = [f"PPO({x['lam']:g})" if x["algo"] == "ppo" else "EIPO" for x in abouts]
+    kinds = [kind(pi) for pi in policies if pi.about]
     for names in (kinds, [folder.resolve().name for folder in folders]):
         if len({*names}) == len(folders):
             return names

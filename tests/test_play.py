@@ -159,13 +159,20 @@ EIPO, PPO = dict(algo="eipo", lam=0.005), dict(algo="ppo", lam=0.01)
     ("folders", "abouts", "names"),
     [
         ("x/a x/b", (EIPO, PPO), ["EIPO", "PPO(0.01)"]),
+        ("x/a x/b", (EIPO, EIPO), ["EIPO", "EIPO smooth"]),
+        ("x/a x/b", (EIPO, PPO | dict(lam=0.0)), ["EIPO", "PPO(0) shaped"]),
         ("x/a x/b x/c", (EIPO, PPO, EIPO), ["a", "b", "c"]),
         ("x/a x/b", (EIPO, {}), ["a", "b"]),
         ("x/a y/a", ({}, {}), ["x/a", "y/a"]),
     ],
 )
 def test_runs_have_the_names_of_the_tables_or_of_their_folders(folders, abouts, names):
-    policies = [SimpleNamespace(about=about) for about in abouts]
+    paper, shaped = dict(aux="energy", reward="paper"), dict(aux="energy", reward="shaped")
+    config = {"PPO(0) shaped": shaped, "EIPO smooth": paper | dict(aux="smooth")}
+    policies = [
+        SimpleNamespace(about=about, config=config.get(name, paper))
+        for about, name in zip(abouts, names, strict=True)
+    ]
     named = play.names_of([Path(x) for x in folders.split()], policies)
     assert [str(name) for name in named] == names
 
