@@ -772,9 +772,11 @@ TRADEOFF = "flat4000-*", "flat-eipo-lam0.005-*", "flat-ppo-lam0-*", "flat-ppo-la
 WEIGHTS = "flat/flat-*lam*seed1?", "flat/new-*", "rough/new-*"
 
 
-@pytest.mark.parametrize(
-    "picture, runs", [("flat/tradeoff", [f"flat/{x}" for x in TRADEOFF]), ("weights", WEIGHTS)]
-)
+@pytest.mark.parametrize("picture, runs", [
+    ("flat/tradeoff", [f"flat/{x}" for x in TRADEOFF]),
+    ("weights", WEIGHTS),
+    ("curriculum/fig5", ["curriculum"]),
+])  # fmt: skip
 def test_a_committed_picture_comes_from_the_committed_tables(tmp_path, picture, runs):
     name = Path(picture).name
     assert main([name, *(str(RESULTS / run) for run in runs), "--out", str(tmp_path / "new")]) == 0
