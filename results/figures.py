@@ -8,6 +8,7 @@ less than 95 %.
 """
 
 import re
+from itertools import cycle
 
 import numpy as np
 from matplotlib import colormaps
@@ -308,14 +309,16 @@ def tradeoff(runs):
 
 
 def alpha(runs):
-    """alpha over iterations, a line for each run of EIPO. Dotted lines are 1 / lambda of each kind
-    of PPO, with what it scores and draws: at such an alpha pi has the same objective.
+    """alpha over iterations, a line for each run of EIPO, dashed if of another kind than the first.
+    Dotted lines are 1 / lambda of each kind of PPO, with what it scores and draws: at such an alpha
+    pi has the same objective.
     """
     rows = []
     groups = by_group(runs)
     figure = Figure(figsize=(4.5 * len(groups), 3.8), layout="constrained")
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
+        dashes = cycle(("-", "--", "-."))
         for name, arm in kinds.items():
             algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
             if algo == "ppo" and lam > 0:
@@ -324,12 +327,17 @@ def alpha(runs):
                 axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
                 at = dict(xycoords=("axes fraction", "data"), va="center")
                 axes.annotate(label, (1, 1 / lam), fontsize=7, **at)
-            for run in arm if algo == "eipo" else []:
+            if algo == "ppo":
+                continue
+            look = dict(color=style(name)["color"], linewidth=1, linestyle=next(dashes))
+            for run in arm:
                 x, y = (run.metrics[key] for key in ("iteration", "alpha"))
-                axes.plot(x, y, color=style(name)["color"], linewidth=1)
+                axes.plot(x, y, label=name if run is arm[0] else None, **look)
                 about = dict(group=group, kind=name, run=run.name)
                 rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
         axes.set(xlabel="iteration", ylabel="alpha", title=group)
+        if len(axes.get_legend_handles_labels()[1]) > 1:
+            axes.legend(fontsize=7)
         log_axis(axes)
         axes.grid(alpha=0.3)
     return rows, figure

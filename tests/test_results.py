@@ -189,6 +189,18 @@ def test_alpha_over_iterations_beside_one_over_lambda():
     dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
     assert [line.get_ydata()[0] for line in dotted] == [200]
     assert [text.get_text() for text in figure.axes[0].texts] == [" PPO(0.005):\n 1.25 on 100 W"]
+    assert not figure.axes[0].get_legend()
+
+
+def test_alpha_of_two_kinds_of_eipo_has_two_kinds_of_lines():
+    """Two runs with the usual step of alpha, and one with another step."""
+    history = dict(iteration=[10, 20], alpha=[200, 400])
+    runs = [made("r", seed=0), made("s", seed=1), made("t", lr_alpha=0.444)]
+    _, figure = figures.alpha([run._replace(metrics=history) for run in runs])
+    (axes,) = figure.axes
+    assert [line.get_linestyle() for line in axes.lines] == ["-", "-", "--"]
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert words == ["EIPO", "EIPO at eta_alpha 0.444"]
 
 
 def seeds(kind, scores, powers, **settings):
