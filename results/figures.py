@@ -337,7 +337,7 @@ def alpha(runs):
                 rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
         axes.set(xlabel="iteration", ylabel="alpha", title=group)
         if len(axes.get_legend_handles_labels()[1]) > 1:
-            axes.legend(fontsize=7)
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=7)
         log_axis(axes)
         axes.grid(alpha=0.3)
     return rows, figure
