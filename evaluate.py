@@ -1,5 +1,5 @@
 """Trained policies, measured as in Sections IV-D and V: `python evaluate.py RUN...` plays episodes
-of 20 s without exploration noise, and prints a line for each run folder.
+of 1000 control steps without exploration noise, and prints a line for each run folder.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
 drawn, as in training, but the ground is new. Policies that play equally many episodes start from
@@ -29,7 +29,7 @@ from runtime.cli import COUNT, Parser, misfit, program
 # takes it for 2024.)
 SEED = 2**64 + 2024
 CLIP = "power"  # what Eq. (9) clips for every policy, whatever it was trained with (D3)
-EPISODE_STEPS = 1000  # control steps, 20 s, Section V-A
+EPISODE_STEPS = 1000  # control steps, which are 20 s unless a run has others, Section V-A
 SLOW = 0.05  # m/s, robots whose mean speed is at most this one count as standing
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 

@@ -91,9 +91,17 @@ class Keeper:
 
     def save(self):
         """Write log, checkpoint, policies and pictures into the run folder."""
-        self.write()
-        if self.newest is None:
-            return
+        is_new = self.newest is not None
+        try:
+            self.write()
+        finally:  # a log that another program has open is no reason to lose what was learned
+            if is_new:
+                self.save_newest()
+        if is_new:
+            self.draw()
+
+    def save_newest(self):
+        """Write checkpoint and policies of the last complete iteration."""
         state, envs = self.newest
         cfg, env_cfg = self.cfg, self.envs[0].env_cfg
         checkpoint.save(self.folder / "checkpoint.npz", state, envs, env_cfg, cfg)
@@ -103,6 +111,9 @@ class Keeper:
                 path = self.folder / f"{name}.npz"
                 run_folder.save_policy(path, learner.params, env_cfg, about)
         self.newest = None
+
+    def draw(self):
+        """Draw the curves of the log."""
         try:
             metrics.draw_curves(self.folder)
         except Exception as error:  # a picture is not worth a run
@@ -198,7 +209,9 @@ def main(argv):
         again = shlex.join([*typed, *([] if options.resume else ["--resume"])])
         say(f"\nStopped after iteration {stopped}. Continue with: {again}")
     else:
-        look = shlex.join(["python", "play.py", str(folder)])
+        play = Path(__file__).with_name("play.py")
+        play = play.name if play.parent == Path.cwd() else str(play)
+        look = shlex.join(["python", play, str(folder)])
         say(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
     return 130 if stopped else 0
 

@@ -1,7 +1,7 @@
 """The paper's claims and the promise of Eq. (3), by the rules of audit/rules.md.
 
 A claim compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
-seed is one of the rules, and those of a task must be of one commit.
+seed is one of the rules, and those of one task and length must be of one commit.
 """
 
 from typing import NamedTuple
@@ -93,7 +93,8 @@ def counted(results=tables.RESULTS):
     """The runs that count, by group and kind, in which "pi' of EIPO" is a kind, too. Of the groups
     of a task the one with the longest runs comes first.
 
-    Refused if those of a group are of several commits or of unknown ones, or if there are none.
+    Refused if those of a group are of several commits or of unknown or changed source, or if there
+    are none.
     """
     found = {}
     for place in (results / task for task in TASKS):
@@ -104,7 +105,8 @@ def counted(results=tables.RESULTS):
         found |= by_group(runs)
     for kinds in found.values():
         commits = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
-        if len(commits) > 1 or "unknown" in commits:  # two that are unknown may be two
+        unsure = [x for x in commits if x == "unknown" or x.endswith("+")]  # one may be several
+        if len(commits) > 1 or unsure:
             raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
     if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")

@@ -117,7 +117,7 @@ def runs(patterns):
     """The Runs of patterns that have episodes; `python -m results -h` explains the patterns."""
     found = {}  # a run that two patterns find counts once
     for path in map(Path, patterns):
-        place, name = (path, f"{path.name}-*") if path.is_dir() else (path.parent, path.name)
+        place, name = (path, f"{path.resolve().name}-*") if path.is_dir() else (path.parent, path.name)
         files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
         listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
         names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
@@ -368,11 +368,13 @@ def add(folders, results=RESULTS, num_episodes=None):
                 raise Refused(f"{path} has a {folder.name} with another {other}: rename the folder")
         curriculum = settings["task"] == "curriculum"
         reached = {REACHED: reached_rows(folder, row["iterations"])} if curriculum else {}
-        found[folder.name] = folder, row, metrics, reached
-    for name, (folder, row, metrics, reached) in found.items():
+        found[folder.name] = folder, about, row, metrics, reached
+    for name, (folder, about, row, metrics, reached) in found.items():
         task = settings_of(row)["task"]
         (results / task).mkdir(parents=True, exist_ok=True)
         played, speeds = play(folder, task, num_episodes)
+        if learned(folder)[0] != about:
+            raise Refused(f"{folder} was trained on meanwhile: add it again when it is done")
         mine = columns(grouped(played, "policy")["pi"])
         row = dict(run=name) | numbers_of(mine) | row
         parts = {METRICS: thinned(name, metrics), EPISODES: played} | reached
@@ -387,15 +389,16 @@ def add(folders, results=RESULTS, num_episodes=None):
 
 
 def learned(folder):
-    """What the policies of a run folder say of themselves, {} if nothing, and the rows of its
+    """What the policies of a run folder say of themselves and of their world, and the rows of its
     metrics.csv up to their iteration. Later ones are of a policy that was not saved.
     """
     files = [folder / POLICIES["pi"]]
     files += [path for path in [folder / POLICIES["prime"]] if path.exists()]
-    about, *prime = (run_folder.load_policy(path)[0].about for path in files)
+    loaded = [run_folder.load_policy(path)[0] for path in files]
+    about, *prime = (pi.about | pi.config for pi in loaded)
     if prime not in ([], [about]):
-        one, other = (x.get("iteration", "unknown") for x in (about, *prime))
-        raise Refused(f"{folder}: pi is of iteration {one} and pi' of {other}: --resume the run")
+        other = differing(about, prime[0]) or "iteration"  # which older ones do not say
+        raise Refused(f"{folder}: pi and pi' have another {other}: --resume the run")
     rows = read(path := folder / "metrics.csv")
     with run_folder.reading(path):
         path.stat()  # it is there

@@ -52,8 +52,9 @@ def load_settings(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg, cfg = run_folder.read_config(kept["env"]), tuples(kept["learner"])
         cfg = eipo.Config(**cfg)
+        began = kept["jax_threads"], kept["jax"]
     run_folder.refuse_other_robot(path, kept.get("robot"))
-    return env_cfg, cfg, kept["jax_threads"], kept["jax"]
+    return env_cfg, cfg, *began
 
 
 def load(path, template, envs):

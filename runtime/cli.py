@@ -78,8 +78,8 @@ def tuples(settings):
 
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
-    expected = isinstance(error, Refused | OtherRobot | OSError)
-    return " ".join(str(error).split()) if expected else None
+    expected = isinstance(error, Refused | OtherRobot | OSError | MemoryError)
+    return " ".join(str(error).split()) or "out of memory" if expected else None
 
 
 def program(name):
@@ -98,7 +98,8 @@ def program(name):
                     stream.reconfigure(errors="backslashreplace")
             try:
                 status = main(argv)
-                sys.stdout.flush()
+                if sys.stdout:  # None if it was closed before Python began
+                    sys.stdout.flush()
                 return status
             except KeyboardInterrupt:
                 return 130

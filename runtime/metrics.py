@@ -70,7 +70,7 @@ class Log:
             with open(self.path, "ab") as file:
                 file.write(self.unwritten.encode())
                 file.flush()
-                os.fsync(file.fileno())  # they are on the disk before a checkpoint may follow
+                os.fsync(file.fileno())  # they are on the disk before a checkpoint follows
         except OSError:
             with suppress(OSError):  # half a row shall not stay
                 os.truncate(self.path, size)

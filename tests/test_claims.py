@@ -284,6 +284,9 @@ def test_runs_that_count(tmp_path, capsys):
     write(tmp_path / "unknown" / "flat", ("a", 10, "unknown"), ("b", 11, "unknown"))
     assert main(["claims", "--results", str(tmp_path / "unknown")]) == 2
     assert "commits: unknown" in capsys.readouterr().err
+    write(tmp_path / "changed" / "flat", ("a", 10, "abc+"), ("b", 11, "abc+"))
+    assert main(["claims", "--results", str(tmp_path / "changed")]) == 2
+    assert "commits: abc+" in capsys.readouterr().err
     assert main(["claims", "--results", str(tmp_path / "nothing")]) == 2
     assert "has no run" in capsys.readouterr().err
 

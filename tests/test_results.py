@@ -521,7 +521,7 @@ def run_of(name, task="flat", **learner):
     return folder
 
 
-def test_a_run_that_is_put_in_comes_out(short):
+def test_a_run_that_is_put_in_comes_out(short, monkeypatch):
     """Both policies from both starts, two of each of 11 commands; every tenth row of the metrics
     and the last one; where it ran. It was stopped after 35 of 600 iterations, so it is one of 35.
     """
@@ -538,7 +538,9 @@ def test_a_run_that_is_put_in_comes_out(short):
         assert main(["add", str(folder), "--results", "kept", "--episodes", "22"]) == 0
     other = run_of("flat-ppo-seed3", seed=3, algo="ppo")
     assert main(["add", str(other), "--results", "kept", "--episodes", "11"]) == 0
-    eipo_run, ppo_run = tables.runs(["kept/flat"])
+    assert [run.name for run in tables.runs(["kept/flat"])] == ["flat-eipo-seed3", "flat-ppo-seed3"]
+    monkeypatch.chdir("kept/flat")
+    eipo_run, ppo_run = tables.runs(["."])
     both = {**config["env"], **config["learner"], "iterations": 35, "power_formula": "power"}
     assert eipo_run.settings == both and ppo_run.settings["algo"] == "ppo"
     assert eipo_run.metrics["iteration"].tolist() == [10, 20, 30, 35]
@@ -599,13 +601,22 @@ def two_ages(folder):
     rewrite(folder / "policy_prime.npz", dict(iteration=10))
 
 
+def two_worlds(folder):
+    shutil.copy(folder / "policy.npz", folder / "policy_prime.npz")
+    rewrite(folder / "policy_prime.npz", noise=0.5)
+
+
 TOLD_APART = {
-    "pi is of iteration 20 and pi' of 10": two_ages,
+    "pi and pi' have another iteration": two_ages,
+    "pi and pi' have another noise": two_worlds,
     "metrics.csv has no row of iteration 36": lambda x: rewrite(
         x / "policy.npz", dict(iteration=36)
     ),
     "policy.npz and config.json have another seed": lambda x: rewrite(
         x / "policy.npz", dict(seed=4)
+    ),
+    "policy.npz and config.json have another roughness, task": lambda x: rewrite(
+        x / "policy.npz", task="rough", roughness=(0.0, 0.15)
     ),
     "metrics.csv does not exist": lambda x: (x / "metrics.csv").unlink(),
     "metrics.csv is damaged": lambda x: (x / "metrics.csv").write_text("iteration,steps\n"),
@@ -619,6 +630,22 @@ def test_what_does_not_belong_together_is_one_line(short, capsys, says):
     TOLD_APART[says](other)
     assert says in error_of(capsys, main, "add", first, other, "--results", "kept")
     assert not Path("kept").exists()
+
+
+def test_a_run_that_trains_while_it_is_played_is_one_line(short, capsys, monkeypatch):
+    """It saved its next policy meanwhile: episodes and metrics would be of two."""
+    folder, real = run_of("r"), tables.play
+
+    def play(*args):
+        played = real(*args)
+        rewrite(folder / "policy.npz", dict(iteration=30))
+        return played
+
+    rewrite(folder / "policy.npz", dict(iteration=20))
+    monkeypatch.setattr(tables, "play", play)
+    to = "--results", "kept", "--episodes", "11"
+    assert "was trained on meanwhile" in error_of(capsys, main, "add", folder, *to)
+    assert not Path("kept/flat/runs.csv").exists()
 
 
 def test_two_runs_of_one_name_are_one_line(short, capsys):

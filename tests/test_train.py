@@ -234,6 +234,20 @@ def test_a_console_that_cannot_show_a_path(tmp_path):
     options = dict(env=os.environ | dict(PYTHONIOENCODING="cp1252"), timeout=SECONDS)
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, **options)
     assert (done.returncode, done.stderr) == (0, "") and r"\u8bad\u7ec3" in done.stdout
+    # it was started in another folder, from which the last line must work, too
+    assert f"Look: python {ROOT / 'play.py'} " in done.stdout
+
+
+def test_without_standard_output_a_command_ends_well(monkeypatch):
+    """`train.py >&-` closes it, and Python then has none."""
+    monkeypatch.setattr(sys, "stdout", None)
+    assert cli.program("any.py")(lambda argv: 0)([]) == 0
+
+
+def test_what_does_not_fit_into_memory_is_one_line(capsys):
+    assert cli.program("any.py")(lambda argv: np.zeros(10**15))([]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("any.py: Unable to allocate ")
 
 
 def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
@@ -306,6 +320,22 @@ def test_a_file_that_is_in_use_costs_no_iteration(finished, tmp_path, capsys, mo
     for name in ("checkpoint.npz", "policy.npz"):
         ours, theirs = (run_folder.read_npz(x / name) for x in (tmp_path, finished))
         assert all(x.tobytes() == theirs[key].tobytes() for key, x in ours.items())
+
+
+def test_a_log_that_stays_in_use_costs_no_policy(tmp_path, capsys, monkeypatch):
+    """Another program has it open from the first iteration until after the last."""
+
+    def busy(log):
+        raise PermissionError(13, "in use")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(metrics.Log, "write", busy)
+        assert train.main([*FLAGS, "--iterations", "2", "--out", str(tmp_path)]) == 2
+    assert "in use" in capsys.readouterr().err.splitlines()[-1]
+    assert run_folder.load_policy(tmp_path / "policy.npz")[0].about["iteration"] == 2
+    resume(tmp_path, "--iterations", 3)
+    assert "lacks 2 rows of 2" in capsys.readouterr().err
+    assert [row[0] for row in rows(tmp_path)[1:]] == ["3"]
 
 
 def test_a_config_that_is_in_use_is_written_later(tmp_path, capsys, monkeypatch):
@@ -408,6 +438,15 @@ def test_a_checkpoint_of_an_older_version_says_so(copied, capsys):
     np.savez(copied / "checkpoint.npz", **old)
     again = "--out", copied, "--resume", "--iterations", 21
     assert "31a2f37" in error_of(capsys, train.main, *again)
+
+
+def test_a_checkpoint_that_lacks_a_setting_is_one_line(copied, capsys):
+    arrays = run_folder.read_npz(copied / "checkpoint.npz")
+    kept = json.loads(str(arrays["settings"]))
+    del kept["jax"]
+    np.savez(copied / "checkpoint.npz", **arrays | dict(settings=np.array(json.dumps(kept))))
+    again = "--out", copied, "--resume", "--iterations", 21
+    assert "checkpoint.npz is damaged" in error_of(capsys, train.main, *again)
 
 
 def test_a_log_that_is_moved_away_begins_anew(tmp_path, capsys):
