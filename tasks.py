@@ -211,8 +211,8 @@ class Config:
     ground_seed: int = 0  # [ours] seed of the Perlin noise; evaluation has its own
     start_spread: float = 0.5  # [lab code] how far robots start from the nominal pose; 0: in it
     tiles: int = 16  # [ours] tiles of ground, from the least to the greatest roughness
-    friction: tuple = (0.5, 1.25)  # [ours] range of the sliding friction of the feet
-    payload: tuple = (-1.0, 1.0)  # [ours] kg, range of the load on the trunk
+    friction: tuple = (0.5, 1.25)  # [lab code] range of the sliding friction of the feet
+    payload: tuple = (-1.0, 1.0)  # [lab code] kg, range of the load on the trunk
     com: tuple = (0.0, 0.0)  # [ours] m, range of the shift of the trunk's centre of mass in x, y, z
     motor_strength: tuple = (1.0, 1.0)  # [lab code] range of the factor on all torques of a robot
     motor_offset: tuple = (0.0, 0.0)  # [lab code] rad, range of the error of each motor's zero
