@@ -117,7 +117,9 @@ def runs(patterns):
     """The Runs of patterns that have episodes; `python -m results -h` explains the patterns."""
     found = {}  # a run that two patterns find counts once
     for path in map(Path, patterns):
-        place, name = (path, f"{path.resolve().name}-*") if path.is_dir() else (path.parent, path.name)
+        place, name = path.parent, path.name
+        if path.is_dir():
+            place, name = path, f"{path.resolve().name}-*"  # of "." too
         files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
         listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
         names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
