@@ -94,14 +94,17 @@ class Keeper:
         is_new = self.newest is not None
         try:
             self.write()
-        finally:  # a log that another program has open is no reason to lose what was learned
-            if is_new:
-                self.save_newest()
+        except OSError:  # another program may have it open: no reason to lose what was learned
+            self.save_newest()
+            raise
+        self.save_newest()
         if is_new:
             self.draw()
 
     def save_newest(self):
-        """Write checkpoint and policies of the last complete iteration."""
+        """Write checkpoint and policies of the last complete iteration, if they are not written."""
+        if self.newest is None:
+            return
         state, envs = self.newest
         cfg, env_cfg = self.cfg, self.envs[0].env_cfg
         checkpoint.save(self.folder / "checkpoint.npz", state, envs, env_cfg, cfg)

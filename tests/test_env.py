@@ -203,6 +203,12 @@ def test_final_obs_at_a_time_limit():
     assert (frames(obs) == frames(obs)[:, :1]).all() and not frames(obs)[:, :, ACTION].any()
 
 
+def test_first_episodes_start_at_every_age():
+    """Of 256 robots none has one of 8 ages with a chance of 8 (7/8)^256 = 1e-14."""
+    env = make(256, stagger=True, episode_steps=8)
+    assert set(env.state.age.tolist()) == set(range(8))
+
+
 def test_first_episodes_are_staggered():
     """16 robots end their first episodes of 8 steps at several times, each once, not in a wave.
 

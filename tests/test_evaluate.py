@@ -70,6 +70,12 @@ def test_all_runs_are_measured_by_one_formula_of_power(asked, tmp_path, capsys):
     assert shown == [f"| {power}", f"| {other}"]
 
 
+def test_curriculum_is_asked_for_at_most_1_metre_per_second():
+    """D32, although it trains many more."""
+    asked = evaluate.commands_of("curriculum").tolist()
+    assert asked == [[i / 10, 0, 0] for i in range(11)]
+
+
 def test_no_seed_of_training_draws_what_evaluation_draws():
     """Environments of training have seeds below 2^33, and those of their ground are smaller. NumPy
     fills seeds with zeros, so that (2024, 0) would draw what 2024 draws: 1012 * 2.

@@ -276,6 +276,37 @@ def test_weights_has_ppo_at_any_lambda():
     assert 0.003 in figure.axes[0].lines[1].get_xdata()
 
 
+def test_eipo_is_no_worse_or_worse():
+    """Seeds that do not spread have no interval: 1.44 is within 0.03 of 1.45, and 1.3 is not."""
+    runs = seeds("a", [1.45, 1.45], [400, 400], algo="ppo", lam=0.0)
+    runs += seeds("b", [1.44, 1.44], [200, 200]) + seeds("c", [1.3, 1.3], [200, 200], lam=0.02)
+    lines = [line.split("|") for line in weights.answers(runs)]
+    found = {line[1].strip(): line[4].strip() for line in lines if len(line) > 4}
+    assert (found["EIPO"], found["EIPO from 0.02"]) == ("no worse", "worse")
+
+
+def test_the_spread_is_of_arms_that_walk():
+    """Squares of 1.4 and 1.5 are 2 x 0.05^2 = 0.005, over 1. Runs at 0.2 m/s do not count."""
+    walk = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
+    stand = seeds("b", [0.5, 0.9], [100, 100], algo="ppo", lam=0.01)
+    for run in stand:
+        run.episodes["v_x"][:] = 0.2
+    (kinds,) = by_group(walk + stand).values()
+    found = weights.pooled(kinds, "performance", nominal=False).of_score
+    assert (found.s, found.df) == (pytest.approx(0.005**0.5), 1)
+
+
+def test_the_last_lambda_where_alpha_ends_at_0():
+    history = dict(iteration=np.array([510, 600]), alpha=np.zeros(2))
+    assert weights.last_lam(made()._replace(metrics=history)) == np.inf
+
+
+def test_margins_are_those_of_the_rules():
+    """Section 2 of rules.md. log 1.25 = 0.2231436."""
+    margins = {"performance": 0.03, "peak": 0.37, "power": 0.2231436, "J/m": 0.2231436}
+    assert pytest.approx(margins) == tables.MARGINS
+
+
 @pytest.mark.parametrize(
     "scores, word",
     [([1.44, 1.44], "surely good"), ([1.41, 1.41], "surely not"), ([0.9, 0.9], "surely not")],
@@ -407,6 +438,13 @@ def test_the_table_of_the_curriculum_by_region():
     ]
 
 
+def test_a_kind_is_of_what_was_reached_if_all_its_runs_say_so():
+    e = dict(task="curriculum", asked_v_x=[0.0], performance=[1.0])
+    knows = made("a", seed=0, **e)._replace(reached=tables.start_box())
+    found = tables.by_region(by_group([knows, made("b", seed=1, **e)]))
+    assert list(found) == ["curriculum, 2000 iterations", "curriculum, 2000 iterations, start box"]
+
+
 # ---- kinds of runs ----
 
 
@@ -464,6 +502,13 @@ def test_runs_that_are_unlike_have_names_of_their_own():
         "PPO(0)": ["d"],
         "PPO(0), noise 0.0, mirror False": ["c"],
     }
+
+
+def test_runs_of_the_shaped_reward_do_not_decide_what_is_usual():
+    other = dict(reward="shaped", algo="ppo", lam=0.0, noise=0.0)
+    shaped = [made(f"s{seed}", "curriculum", seed=seed, **other) for seed in (0, 1)]
+    (kinds,) = by_group([*shaped, made("e", "curriculum")]).values()
+    assert list(kinds) == ["EIPO", "PPO(0) shaped, noise 0.0"]
 
 
 def test_no_kept_run_is_renamed_when_a_default_changes(monkeypatch):
@@ -752,6 +797,36 @@ def test_what_the_grid_had_reached_is_kept(short):
     path.unlink()
     assert main(["add", str(folder), *to]) == 0
     assert tables.runs(["kept/curriculum/r"])[0].reached == {}
+
+
+def test_curriculum_is_asked_for_every_command_of_figure_5(tmp_path, monkeypatch):
+    """11 x 11 of them, from -1 to 4 m/s and from -5 to 5 rad/s, from both starts."""
+    asked = []
+
+    def run_episodes(policy, env):  # nothing is simulated
+        return evaluate.Episodes(*np.zeros((5, env.num_envs))), np.zeros((16, env.num_envs))
+
+    def make_env(env_cfg, commands):
+        asked.append(commands)
+        return SimpleNamespace(num_envs=len(commands), env_cfg=env_cfg, period=0.02)
+
+    monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
+    monkeypatch.setattr(evaluate, "make_env", make_env)
+    tables.play(make_run(tmp_path / "r", "curriculum"), "curriculum", 121)
+    assert [len(np.unique(commands, axis=0)) for commands in asked] == [121, 121]
+    assert asked[0].min(0).tolist() == [-1, 0, -5] and asked[0].max(0).tolist() == [4, 0, 5]
+
+
+def test_speeds_by_period_of_the_clock():
+    """5 Hz and 20 ms: ten steps a period. Robot 1 falls after 15. Means are of 0, 1, ..., 9, and
+    of 10, ..., 19 with 10, ..., 14: (145 + 60) / 15.
+    """
+    env = SimpleNamespace(period=0.02, env_cfg=SimpleNamespace(clock_hz=5.0))
+    v_x = np.repeat(np.arange(20.0)[:, None], 2, axis=1)
+    v_x[15:, 1] = np.nan
+    rows = list(tables.speed_rows(v_x, env))
+    assert [row["time"] for row in rows] == pytest.approx([0.1, 0.3])
+    assert [row["v_x"] for row in rows] == pytest.approx([4.5, 205 / 15])
 
 
 def test_velocity_keeps_speeds_over_time(short):

@@ -29,6 +29,7 @@ import go1
 import go1_env
 import rewards
 import tasks
+import terrain
 
 # ---- what an episode draws ----
 
@@ -137,6 +138,14 @@ def test_start_touches_rough_ground(task):
             centres += [data.geom(f"{leg}_foot").xpos.copy(), data.body(f"{leg}_calf").xpos.copy()]
     gaps = np.array(centres)[:, 2] - 0.02 - rays(env, np.array(centres)[:, :2])
     assert np.abs(gaps.reshape(32, 8).min(1)).max() < 0.005
+
+
+def test_the_ground_is_of_its_seed_and_cells():
+    ground = make(1, task="velocity", ground_seed=1).ground
+    assert (ground == terrain.make_ground([0.05] * 16, seed=1, cells_per_m=4)).all()
+    assert (ground != make(1, task="velocity").ground).any()
+    ground = make(1, task="rough", tiles=2).ground
+    assert (ground == terrain.make_ground([0.0, 0.15], seed=0, cells_per_m=1)).all()
 
 
 def test_start_is_anywhere_on_the_tile():
@@ -416,11 +425,12 @@ def test_shaped_reward_replaces_the_task_reward_and_keeps_it_in_the_log():
 
 @pytest.fixture
 def seen(monkeypatch):
-    """The Gait that the shaped reward was given in each step, by name."""
+    """The Gait and the velocity that the shaped reward was given in each step, by name."""
     steps, shaped = [], rewards.shaped
 
     def spy(velocity, command, gait):
-        steps.append({name: np.array(x) for name, x in gait._asdict().items()})
+        given = gait._asdict() | dict(velocity=velocity)
+        steps.append({name: np.array(x) for name, x in given.items()})
         return shaped(velocity, command, gait)
 
     monkeypatch.setattr(rewards, "shaped", spy)
@@ -443,6 +453,23 @@ def test_what_the_shaped_reward_sees_of_the_trunk(seen):
     assert seen[0]["roll_pitch_rate"] == pytest.approx(np.tile([1, 2], (8, 1)), abs=1e-3)
     assert seen[0]["v_z"] == pytest.approx(np.full(8, -16))
     assert seen[0]["gravity"] == pytest.approx(np.tile([0.0, -1.0, 0.0], (8, 1)), abs=1e-6)
+
+
+def test_the_shaped_reward_is_in_the_frame_that_was_asked_for(seen):
+    """Nose up by 60 degrees the trunk has cos 60 = 1/2 of 1 m/s ahead and of a yaw of 1 rad/s."""
+    env = quiet(1, reward="shaped", velocity_frame="body")
+    nose_up = Rotation.from_euler("Y", -60, degrees=True)
+    rates = nose_up.apply([0.0, 0.0, 1.0], inverse=True)
+    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0), rates=rates)
+    still(env)
+    assert seen[0]["velocity"] == pytest.approx(np.array([[0.5, 0.0, 0.5]]), abs=1e-6)
+
+
+def test_the_shaped_reward_feels_the_gravity_that_was_drawn(seen):
+    """(1, 1, 1 - 9.81) over its length, sqrt(1 + 1 + 77.6161) = 8.922786."""
+    still(quiet(1, reward="shaped", gravity=(1.0, 1.0)))
+    expected = np.array([[0.112073, 0.112073, -0.987359]])
+    assert seen[0]["gravity"] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.go1
@@ -491,3 +518,17 @@ def test_what_the_shaped_reward_sees_of_contacts(seen):
     # the foot that touches the ground counts anew
     off_ground = np.array([3, 4, 5, 6]) * (1 - np.eye(4))
     assert env.state.off_ground[feet].tolist() == off_ground.tolist()
+
+
+def test_the_shaped_reward_sees_contacts_of_the_last_physics_step(seen):
+    """The calf and the foot of FR, sensors 9 and 13, touch the ground in the first of four."""
+    env = make(1, reward="shaped")
+    env.contacts, env.state.off_ground[:] = np.zeros((1, 17)), 4
+    touches = iter([1.0, 0.0, 0.0, 0.0])
+
+    def step():
+        env.contacts[:, [9, 13]] = next(touches)
+
+    env.batch.step = step
+    still(env)
+    assert seen[0]["collisions"].tolist() == [0] and not seen[0]["landed"].any()

@@ -188,15 +188,30 @@ def test_algorithm1_line10_pi_prime_never_sees_energy(with_effort):
 
 
 def test_algorithm1_line03_other_seed_other_start(monkeypatch):
-    """For seeds 0 and 1, pi and pi_prime, networks and environments have four seeds each."""
+    """For seeds 0 and 1, pi and pi_prime, networks and environments have four seeds each, and the
+    exploration of a run has one.
+    """
     monkeypatch.setattr(eipo, "init_learner", lambda rng, *_: int(rng.integers(2**62)))
-    networks, envs = [], []
+    networks, envs, keys = [], [], []
     for seed in (0, 1):
         env, env_prime = Probe(one), Probe(one)
         state = eipo.init_state([env, env_prime], replace(EIPO, seed=seed))
         networks += [state.pi, state.pi_prime]
         envs += env.seeds + env_prime.seeds
+        keys.append(state.key.tolist())
     assert len(set(networks)) == len(set(envs)) == len(envs) == 4
+    assert keys[0] != keys[1]
+
+
+def test_what_an_update_logs_stands_under_its_own_policy(monkeypatch):
+    """pi learns from two streams, and pi_prime from one."""
+
+    def update(learner, *_):
+        return learner, dict(kl=len(learner.streams))
+
+    monkeypatch.setattr(eipo, "ppo_update", update)
+    _, metrics = next(eipo.eipo(Probe(one), Probe(one), EIPO))
+    assert (metrics["kl"], metrics["prime_kl"]) == (2, 1)
 
 
 def test_algorithm1_line06_a_rollout_goes_on_from_where_the_robots_are(with_effort):

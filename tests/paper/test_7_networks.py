@@ -364,6 +364,7 @@ def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples(
     )
     loss, log = ppo.ppo_loss(params, batch, EIPO)
     assert (log["value_loss"], log["estimator_loss"]) == (5 / 2, 21 / 8)
+    assert float(log["std"]) == pytest.approx((2 + 4) / 2)
     assert float(loss) == pytest.approx(5 / 2 + 21 / 8 - 0.049173186, rel=1e-6)
 
 
@@ -463,21 +464,24 @@ def test_algorithm1_line09_ppo_trains_the_estimator_by_its_own_error_alone():
 
 def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
     """Gradients of actor and noise, which count as one network, are clipped. Those of the critic
-    are small enough. Adam's mean starts at 1/10, its mean square at 1/1000 of the square:
+    and of the estimator are small enough, each by itself. Adam's mean starts at 1/10, its mean
+    square at 1/1000 of the square:
 
     gradient           norm     clipped        mean             mean square
     3, 4               5        0.6, 0.8       0.06, 0.08       0.36e-3, 0.64e-3
     3/8, 4/8           5/8      3/8, 4/8       0.0375, 0.05
+    0.6, 0.8           1        0.6, 0.8       0.06, 0.08
 
     Adam's first direction is 1 up every slope.
     """
     actor, log_std, critic = jnp.array([3.0]), jnp.array([4.0]), jnp.array([0.375, 0.5])
-    gradient = dict(actor=actor, log_std=log_std, critic=critic, estimator=jnp.zeros(2))
+    gradient = dict(actor=actor, log_std=log_std, critic=critic, estimator=jnp.array([0.6, 0.8]))
     optimizer = ppo.optimizer(EIPO)
     step, state = optimizer.update(gradient, optimizer.init(gradient))
     mean, square = (optax.tree_utils.tree_get(state, name) for name in ("mu", "nu"))
     assert [*mean["actor"], *mean["log_std"]] == pytest.approx([0.06, 0.08])
     assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
+    assert mean["estimator"].tolist() == pytest.approx([0.06, 0.08])
     assert [*square["actor"], *square["log_std"]] == pytest.approx([0.36e-3, 0.64e-3])
     assert [*step["actor"], *step["log_std"]] == pytest.approx([1.0, 1.0], rel=1e-4)
 
@@ -535,3 +539,13 @@ def test_algorithm1_line09_ppo_skips_a_minibatch_that_is_not_finite():
     assert log["skipped"] == 4
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(params))
     assert not trees_equal(params["critic"], before["critic"])
+
+
+def test_algorithm1_line09_ppo_skips_as_many_as_there_are():
+    """D36. Two iterations in which nothing is finite have 40 minibatches."""
+    gradient = {name: jnp.full(1, jnp.nan) for name in ("actor", "log_std", "critic", "estimator")}
+    optimizer = ppo.optimizer(EIPO)
+    state = optimizer.init(gradient)
+    for _ in range(40):
+        step, state = optimizer.update(gradient, state)
+        assert [float(x[0]) for x in step.values()] == [0] * 4

@@ -137,6 +137,13 @@ def test_an_interval_is_of_2000_samples():
     assert sum(drawn) == 2000
 
 
+def test_an_interval_keeps_the_numbers_of_an_episode_together():
+    """Power is 24 times the speed in each episode, so every sample has 24 J/m."""
+    v_x = np.arange(1.0, 9)
+    ends = evaluate.interval([24 * v_x, v_x], evaluate.energy_per_metre, batch=100)
+    assert ends == pytest.approx((24, 24))
+
+
 def test_summarise_by_hand():
     """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5,
     3.5, 3.5, 5.5.
