@@ -1,6 +1,7 @@
 """results/claims.py: comparisons of runs by the rules of results/audit/rules.md."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from support import ROOT
 from test_results import made
 
 import evaluate
-from results import claims, tables
+from results import claims, tables, weights
 from results.__main__ import main
 from results.claims import Comparison, compare, verdict
 
@@ -292,6 +293,7 @@ def test_runs_that_count(tmp_path, capsys):
 
 
 FLAT = "flat/flat4000-*", "flat/flat-eipo-*", "flat/flat-ppo-*"
+INTERVAL = re.compile(r"([\d.]+\.(\d+)) \[[-+]?([\d.]+), [-+]?([\d.]+)\]")
 IN_MIND = *FLAT, "velocity", "rough", "curriculum"
 
 
@@ -308,6 +310,28 @@ def test_the_pages_have_what_the_commands_print():
     (first,) = (i for i, line in enumerate(in_mind) if line.startswith("| flat, 600 iterations"))
     readme = (ROOT / "README.md").read_text()
     assert all(line in readme for line in in_mind[first : first + 10])
+
+
+def ends(text):
+    """The numbers of "0.12 [0.03, 0.21]" wherever it stands in a text, without their signs, in the
+    order in which they stand there and for the opposite difference; and how far rounding may go.
+    """
+    for x, digits, low, high in INTERVAL.findall(text):
+        yield np.array([[x, low, high], [x, high, low]], float), 0.501 * 10 ** -len(digits)
+
+
+def test_the_intervals_of_the_pages_are_those_that_the_commands_print():
+    """A page may turn a difference around, and round it."""
+    runs = "flat/flat-*lam*seed1?", "flat/new-*", "rough/new-*"  # as results/README.md has them
+    lines = list(weights.answers(tables.runs([ROOT / "results" / x for x in runs])))
+    lines += claims.claim_lines(claims.counted())
+    printed = np.array([x[0] for x, _ in ends("\n".join(lines))])
+    pages = [ROOT / "README.md", *(ROOT / "results").glob("**/README.md")]
+    found = [(page, *x) for page in pages for x in ends(" ".join(page.read_text().split()))]
+    assert len(found) > 40
+    for page, both, rounding in found:
+        near = (np.abs(printed[:, None] - both) <= rounding).all(-1)
+        assert near.any(), (page, both[0])
 
 
 def test_the_promise_is_of_pi_and_its_own_pi_prime():
