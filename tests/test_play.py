@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -15,13 +16,15 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
-from support import ROOT, error_of, make_run
+from support import NOMINAL, ROOT, error_of, make_run
 
 import evaluate
+import go1
 import play
 import tasks
 import terrain
-from runtime import viewer
+from networks import MLP
+from runtime import run_folder, viewer
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
 if not play.has_display:
@@ -177,6 +180,40 @@ def test_runs_have_the_names_of_the_tables_or_of_their_folders(folders, abouts, 
     assert [str(name) for name in named] == names
 
 
+def test_the_caption_of_a_gif_is_of_its_last_second(runs, monkeypatch):
+    means = [dict(v_x=1.0, power=300.0), dict(v_x=2.0, power=100.0)]
+    saved = []
+    monkeypatch.setattr(viewer, "film", lambda *_: ([None] * 2, means))
+    monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
+    assert play.main([str(runs["flat"]), "--gif", "a.gif"]) == 0
+    (captions,) = saved[0][2]
+    assert len(captions) == 2 and all("v_x 2.0 m/s   100 W" in x for x in captions)
+
+
+def test_legs_of_one_colour_are_diagonal(env):
+    model, _ = viewer.make_scene(env)
+    seen = {
+        leg: {
+            tuple(model.geom_rgba[i])
+            for i in range(model.ngeom)
+            if model.geom_group[i] == 2 and model.body(model.geom_bodyid[i]).name.startswith(leg)
+        }
+        for leg in go1.LEGS
+    }
+    assert seen["FR"] == seen["RL"] != seen["FL"] == seen["RR"]
+    assert all(len(colours) == 1 for colours in seen.values())
+
+
+def test_the_camera_is_in_front_of_the_robot_on_its_right(env):
+    """It looks along (cos, sin) of its azimuth. The robot heads for +y, so right is +x."""
+    model, _ = viewer.make_scene(env)
+    env.qpos[0, 3:7] = 0.5**0.5, 0, 0, 0.5**0.5
+    camera = mujoco.MjvCamera()
+    viewer.point(camera, env, model)
+    x, y = -np.cos(np.radians(camera.azimuth)), -np.sin(np.radians(camera.azimuth))
+    assert x > 0.9 and y > 0.3 and camera.elevation < 0
+
+
 # ---- what goes wrong ----
 
 
@@ -275,6 +312,14 @@ def test_runs_that_cannot_be_asked_for_the_same_are_refused(runs, capsys, tmp_pa
     assert "side by side" in error_of(capsys, play.main, *argv) and not [*tmp_path.iterdir()]
 
 
+def test_runs_of_unlike_control_steps_are_refused(runs, capsys, tmp_path):
+    pi, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
+    params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
+    run_folder.save_policy(tmp_path / "policy.npz", params, replace(env_cfg, physics_steps=2))
+    argv = runs["flat"], tmp_path, "--gif", tmp_path / "a.gif"
+    assert "control steps of one length" in error_of(capsys, play.main, *argv)
+
+
 # ---- what is played ----
 
 
@@ -306,6 +351,39 @@ def test_the_ground_is_the_runs_roughest(task, height):
     assert (env.ground is None) == (height == 0)
     assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
     assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
+
+
+@pytest.mark.go1
+def test_a_robot_that_is_watched_starts_in_the_nominal_pose(env):
+    assert env.qpos[0, 7:].tolist() == NOMINAL.tolist() and not env.qvel.any()
+
+
+@pytest.mark.parametrize("way", ["", "--web", "--gif a.gif"])
+@pytest.mark.parametrize("slow", [None, 3.0])
+def test_seed_and_pace_reach_the_window_the_browser_and_the_gif(runs, monkeypatch, way, slow):
+    """A GIF is four times slower without a word, the others in real time."""
+    seen = []
+
+    def show(env, steps, *rest):
+        next(steps)
+        seen.append((env.state.friction.tolist(), rest))
+        return [None], [dict(v_x=1.0, power=300.0)]
+
+    for name in ("window", "browser", "film"):
+        monkeypatch.setattr(viewer, name, show)
+    monkeypatch.setattr(viewer, "save_gif", lambda *given: seen.append(given[-1]))
+    argv = [str(runs["flat"]), *way.split(), "--seed", "7", "--port", "8123", "--seconds", "2"]
+    assert play.main([*argv, *(["--slow", str(slow)] if slow else [])]) == 0
+    _, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
+    env = play.make_env(env_cfg, np.zeros(3))
+    env.reset(7)
+    (friction, rest), *gif = seen
+    assert friction == env.state.friction.tolist()
+    if "gif" in way:
+        assert rest[0] == 2.0 and gif == [20 * (slow or 4)]
+    else:
+        _, *ports, pace = rest
+        assert ports == ([8123] if way else []) and pace == (slow or 1.0)
 
 
 # ---- the window ----
@@ -374,6 +452,38 @@ def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch
     assert shown.cam.trackbodyid == shown.model.body("trunk").id
     shown, slept = watch(monkeypatch, env, [0] * 2, np.zeros(3), 4.0)
     assert slept == pytest.approx([0.075] * 2)
+
+
+def test_a_browser_is_as_slow_as_asked(monkeypatch, env):
+    seen = []
+    monkeypatch.setattr(viewer, "launch_web", MagicMock())
+    monkeypatch.setattr(viewer, "paced", lambda steps, period: seen.append(period) or steps)
+    viewer.browser(env, iter(()), np.zeros(3), 0, 4.0)
+    assert seen == [pytest.approx(0.08)]
+
+
+def test_sliders_set_what_the_task_asks_for(monkeypatch, env):
+    """Walking on flat ground has 0 to 1 m/s ahead, and nothing else."""
+    pytest.importorskip("mujoco.studio")
+    from mujoco.studio import launch_thread, viewer_protocol, web_viewer
+    from mujoco.studio.dear_imgui import dear_imgui as gui
+
+    class Fake:
+        def __init__(self, config, endpoint, plugins, camera):
+            self.port, (self.panel,) = config.http_port, plugins
+
+    made, asked, said = [], np.array([0.5, 0.0, 0.0]), []
+    monkeypatch.setattr(web_viewer, "WebViewer", Fake)
+    monkeypatch.setattr(viewer_protocol, "run_viewer_loop", made.append)
+    monkeypatch.setattr(launch_thread, "launch_thread", lambda run: run(None))
+    for name in ("SetNextWindowPos", "Begin", "End"):
+        monkeypatch.setattr(gui, name, lambda *_: None)
+    monkeypatch.setattr(gui, "Text", said.append)
+    monkeypatch.setattr(gui, "SliderFloat", lambda *x: said.append(x) or (True, 0.25))
+    viewer.launch_web(env, viewer.make_scene(env)[0], asked, ["1 m/s"], 8123)
+    made[0].panel.build(None)
+    assert said == ["1 m/s", ("v_x [m/s]", 0.5, 0.0, 1.0)] and made[0].port == 8123
+    assert asked.tolist() == [0.25, 0, 0]
 
 
 # ---- the ground that is drawn ----

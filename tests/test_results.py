@@ -379,6 +379,80 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
     assert paper == {"EIPO, the paper's robot": 2.5, "PPO(0.01), the paper's robot": 1.5}
 
 
+def test_each_lambda_has_its_marker_and_its_shade():
+    """Eq. (10)'s nine, from 0 to 0.02. A shade is of 0, to 0.0005, to 0.002, to 0.005, and above."""
+    looks = [figures.style(f"PPO({lam:g})") for lam in tables.LAMBDAS]
+    assert "".join(look["marker"] for look in looks) == "os^v<>pPX"
+    shades = [look["color"] for look in looks]
+    first = [shades.index(x) for x in shades]  # where a shade comes first
+    assert first == [0, 1, 1, 1, 4, 4, 6, 7, 7]
+    assert figures.style("EIPO") == dict(color="#0072B2", marker="D")
+    assert figures.style("EIPO from 0.02") == dict(color="#0072B2", marker="X")
+
+
+def test_fig5_has_power_below_the_score():
+    """100 v_x + 10 yaw + 1000: 850 at -1 m/s and -5 rad/s, and 1450 at 4 m/s and 5 rad/s."""
+    v_x, _, yaw = tables.GRID.T
+    columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=v_x, power=100 * v_x + 10 * yaw + 1000)
+    _, figure = figures.fig5([made(task="curriculum", **columns)])
+    score, power = (axes.collections[0].get_array() for axes in figure.axes[:2])
+    assert (score[0, 0], score[-1, -1]) == (-1, 4)
+    assert (power[0, 0], power[-1, -1]) == pytest.approx((850, 1450))
+
+
+def test_the_thick_line_of_fig6_is_the_mean():
+    time = np.array([0.17, 0.51])
+    speeds = [dict(time=time, v_x=np.array(x)) for x in ((1.0, 2.0), (2.0, 3.0), (6.0, 10.0))]
+    _, figure = figures.fig6([made(f"s{i}", "velocity", x, seed=i) for i, x in enumerate(speeds)])
+    (thick,) = [line for line in figure.axes[0].lines if line.get_linewidth() == 2]
+    assert thick.get_xydata().tolist() == [[0.17, 3], [0.51, 5]]
+
+
+def test_table1_draws_each_kind_in_its_own_line():
+    """Seeds of EIPO are at 1 and at 3. The paper has 2.86 and 2.12."""
+    many = np.ones(200)
+    runs = [made("a", "velocity", peak=many, seed=0), made("b", "velocity", peak=3 * many, seed=1)]
+    runs += [made("c", "velocity", peak=5 * many, algo="ppo", lam=0.0)]
+    _, figure = figures.table1(runs)
+    (axes,) = figure.axes
+    words = [x.get_text() for x in axes.get_yticklabels()]
+    row = dict(zip(words, axes.get_yticks(), strict=True))
+    assert list(row) == ["EIPO, n = 2", "PPO(0), n = 1"]
+    eipo, ppo = row.values()
+    assert axes.collections[0].get_segments()[0].tolist() == [[1, eipo], [3, eipo]]
+    drawn = {x.get_label(): x.get_xydata().tolist() for x in axes.lines}
+    assert drawn["the paper's"] == [[2.86, eipo], [2.12, ppo]]
+    (bars,) = (x for x in axes.containers if hasattr(x, "has_xerr"))
+    assert bars[0].get_xydata().tolist() == [[2, eipo], [5, ppo]]
+
+
+def test_tradeoff_has_a_small_dot_for_each_run_and_a_large_one_for_their_mean():
+    """pi' is hollow. Scores of velocity are peaks, on an axis of their own."""
+    runs = seeds("a", [1.0, 2.0, 6.0], [100, 200, 600])
+    runs = [run._replace(prime=run.episodes) for run in runs]
+    _, figure = figures.tradeoff([*runs, *seeds("v", [1.0], [50], task="velocity")])
+    small, large, hollow, _ = figure.axes[0].collections
+    assert small.get_offsets().tolist() == [[1, 100], [2, 200], [6, 600]]
+    assert large.get_offsets().tolist() == [[3, 300]]
+    assert large.get_sizes()[0] > small.get_sizes()[0]
+    assert len(small.get_facecolors()) == 1 and len(hollow.get_facecolors()) == 0
+    score, peak = figure.axes
+    assert not score.get_shared_x_axes().joined(score, peak)
+
+
+def test_alpha_is_drawn_over_iterations():
+    history = dict(iteration=[10, 20], alpha=[200, 400])
+    _, figure = figures.alpha([made("r")._replace(metrics=history)])
+    (line,) = figure.axes[0].lines
+    assert line.get_xydata().tolist() == [[10, 200], [20, 400]]
+
+
+def test_weights_prints_its_tables(tmp_path, capsys):
+    runs = str(ROOT / "results/flat/flat-*lam*seed1?")
+    assert main(["weights", runs, "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines() == list(weights.answers(tables.runs([runs])))
+
+
 # ---- regions of commands ----
 
 
@@ -691,6 +765,18 @@ def test_a_run_that_trains_while_it_is_played_is_one_line(short, capsys, monkeyp
     to = "--results", "kept", "--episodes", "11"
     assert "was trained on meanwhile" in error_of(capsys, main, "add", folder, *to)
     assert not Path("kept/flat/runs.csv").exists()
+
+
+def test_add_waits_for_another_add(short, monkeypatch):
+    waits, real = [], run_folder.lock
+
+    def lock(folder, wait=False):
+        waits.append((folder.name, wait))
+        return real(folder, wait)
+
+    monkeypatch.setattr(run_folder, "lock", lock)
+    assert main(["add", str(run_of("r")), "--results", "kept", "--episodes", "11"]) == 0
+    assert waits == [("flat", True)]
 
 
 def test_two_runs_of_one_name_are_one_line(short, capsys):

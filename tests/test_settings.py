@@ -1,6 +1,7 @@
 """Settings: those of the paper, and those that are beyond their limits or do not fit together."""
 
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -350,6 +351,39 @@ def test_a_ground_of_any_cells_is_as_rough_as_asked(cells_per_m):
     assert flags.LIMITS["cells_per_m"] == {"at least": 1, "at most": 10}
     ground = terrain.make_ground([0.1, 0.1], 3, cells_per_m)
     assert np.ptp(ground) > 0.09 and np.isfinite(ground).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ("", "flat-eipo-lam0.005-seed0"),
+        ("--aux smooth --seed 12", "flat-eipo-lam0.005-smooth-seed12"),
+        (
+            "--task curriculum --algo ppo --lam 0 --reward shaped",
+            "curriculum-ppo-lam0-shaped-seed0",
+        ),
+    ],
+)
+def test_a_run_is_named_by_what_it_trains(given, name):
+    options, *settings = parse(given.split())
+    assert train.run_path(Options(**options), *settle(*settings)) == Path("runs") / name
+
+
+@pytest.mark.parametrize(
+    ("given", "says"), [("--hidden-estimator 8 3", "odd"), ("--lr 1e-6", "--target-kl 0")]
+)
+def test_what_cannot_be_halved_or_adapted_is_refused(given, says):
+    options, *settings = parse(given.split())
+    with pytest.raises(Refused, match=says):
+        flags.check(Options(**options), *settle(*settings))
+
+
+def test_help_says_each_default(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        train.main(["-h"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert "(default: 256, velocity 128)" in text
+    assert "(default: 5, flat 5, rough 10, velocity 10, curriculum 5)" in text
 
 
 # ---- a task of one's own ----

@@ -48,6 +48,37 @@ def contents(folder):
     return {name: x.tobytes() for name, x in run_folder.read_npz(folder / "checkpoint.npz").items()}
 
 
+def test_a_line_of_a_table_is_what_is_trained(checkout):
+    """A stand-in for Python says what it is asked to run. Also as a copy that SLURM has made."""
+    (checkout / ".venv/bin/python").write_text('#!/bin/sh\necho "$PJRT_NPROC $@"\n')
+    script, folder = checkout / "results/sweep.sh", checkout / "runs" / NAMES[1]
+    slurm = shutil.copy(script, checkout.parent / "copy.sh")
+    unset = {x: y for x, y in os.environ.items() if not x.startswith(("SLURM", "CORES", "PJRT"))}
+    flags = f"train.py {FLAGS} --seed 1 --algo ppo --lam 0"
+
+    def said(*command, cwd=checkout.parent, **env):
+        subprocess.run([str(x) for x in command], cwd=cwd, env=unset | env, check=True)
+        return (checkout / f"runs/{NAMES[1]}.log").read_text().splitlines()[-1]
+
+    out = f"--out runs/{NAMES[1]}"
+    table = checkout / "table"
+    assert said(script, table, 1) == f"1 {flags} --threads 1 {out}"
+    assert said(script, table, 1, CORES="3") == f"3 {flags} --threads 3 {out}"
+    # killed before its first checkpoint: it starts anew
+    for name in ("config.json", "metrics.csv"):
+        (folder / name).touch()
+    array = dict(SLURM_ARRAY_TASK_ID="1", SLURM_CPUS_PER_TASK="2")
+    array |= dict(SLURM_SUBMIT_DIR=str(checkout))
+    assert said("bash", slurm, table, CORES="3", **array) == f"2 {flags} --threads 2 {out}"
+    assert {path.name for path in folder.iterdir()} == {"lock"}
+    (folder / "checkpoint.npz").touch()
+    (folder / "config.json").touch()
+    assert said(script, table, 1) == f"1 {flags} --resume --threads 1 {out}"
+    assert (folder / "config.json").exists()
+    with pytest.raises(subprocess.CalledProcessError):
+        said(script, table, 4)
+
+
 @pytest.mark.slow
 def test_a_sweep_that_is_killed_goes_on_with_the_same_bits(checkout, tmp_path):
     """The line that is refused ends no other one. Another start of all trains what is left."""

@@ -12,16 +12,19 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support import ROOT, SECONDS, TINY, error_of, started
 
+import go1_env
+import mirror
 import rewards
 import tasks
 import train
 from networks import MLP
-from runtime import cli, jax_setup, metrics, run_folder
+from runtime import checkpoint, cli, jax_setup, metrics, run_folder
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -171,6 +174,61 @@ def test_pi_and_pi_prime_share_one_curriculum(monkeypatch, tmp_path):
     # a success in the corner of the first region
     env_prime.commands.record(np.array([[0.75, 0.0, 0.75]]), np.ones((1, 2)))
     assert env.state.command_weights[4, 22] == pytest.approx(0.2)
+
+
+def test_both_policies_are_mirrored_unless_told_otherwise(finished, tmp_path):
+    """D28: pi(M s) = M pi(s)."""
+    env = go1_env.Go1Env(1, tasks.task_config(history=2), 1)
+    obs = np.random.default_rng(0).normal(size=(1, env.obs_size))
+
+    def image(x, part):
+        index, sign = mirror.joined(env.mirror[part])
+        return np.array(sign) * x[..., list(index)]
+
+    def is_mirrored(path):
+        pi, _ = run_folder.load_policy(path)
+        there, here = pi.mean(image(obs, "obs")), image(pi.mean(obs), "action")
+        return np.allclose(there, here, atol=1e-5)
+
+    run("--no-mirror", "--iterations", 1, "--out", tmp_path)
+    for name in ("policy.npz", "policy_prime.npz"):
+        assert is_mirrored(finished / name) and not is_mirrored(tmp_path / name)
+
+
+def test_steps_are_of_both_policies(finished):
+    """Four robots in all, and four steps of each in an iteration."""
+    assert metrics.read(finished)["steps"].tolist() == [16 * i for i in range(1, 21)]
+
+
+def test_checkpoints_are_as_far_apart_as_asked(tmp_path, monkeypatch):
+    """At 4, 8 and at the end."""
+    saved, real = [], checkpoint.save
+
+    def save(path, state, *rest):
+        saved.append(state.iteration)
+        real(path, state, *rest)
+
+    monkeypatch.setattr(checkpoint, "save", save)
+    run("--iterations", 9, "--out", tmp_path / "run")
+    assert saved == [4, 8, 9]
+
+
+@pytest.mark.parametrize(("given", "threads"), [(["--threads", 3], 3), ([], 5)])
+def test_threads_are_as_many_as_asked_or_one_for_each_core(tmp_path, monkeypatch, given, threads):
+    seen, real = [], go1_env.Batch
+    monkeypatch.setattr(go1_env, "CORES", 5)
+    monkeypatch.setattr(go1_env, "Batch", lambda *x: seen.append(x[1:]) or real(*x))
+    run(*given, "--iterations", 1, "--out", tmp_path / "run")
+    assert seen == [(2, threads)] * 2
+
+
+@pytest.mark.parametrize(("began_with", "threads"), [(None, "7"), ("3", "3")])
+def test_jax_has_a_thread_for_each_core_or_as_at_the_start(monkeypatch, began_with, threads):
+    monkeypatch.setenv("PJRT_NPROC", "1")
+    monkeypatch.delenv("PJRT_NPROC")
+    monkeypatch.setattr(jax_setup, "CORES", 7)
+    jax_setup.set_threads(began_with)
+    assert os.environ["PJRT_NPROC"] == threads
 
 
 # ---- how a run ends ----
@@ -613,6 +671,18 @@ def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
     assert run_folder.commit() == "unknown"
 
 
+def test_a_changed_robot_is_a_change_of_the_source(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "run_folder.py"))
+    (tmp_path / "run_folder.py").touch()
+    (tmp_path / "go1.xml").touch()
+    user = ["-c", "user.name=x", "-c", "user.email=x"]
+    for command in ("init -q", "add .", "commit -q -m x"):
+        subprocess.run(["git", *user, *command.split()], cwd=tmp_path, check=True)
+    clean = run_folder.commit()
+    (tmp_path / "go1.xml").write_text("<mujoco/>")
+    assert run_folder.commit() == clean + "+"
+
+
 @pytest.mark.parametrize("error", [PermissionError, FileNotFoundError])
 def test_a_git_that_cannot_be_run_is_no_error(monkeypatch, error):
     def refuse(*_, **__):
@@ -706,3 +776,49 @@ def test_the_console(tmp_path, capsys, monkeypatch, terminal, shown):
     shaped = NUMBERS | dict(reward=7, task_reward=1.25, iteration=2, time_s=62)
     said = metrics.console_line(shaped, NUMBERS, 12)
     assert "  10 min left  task 1.25  " in said and "alpha" not in said
+
+
+def test_steps_per_second_are_of_this_process(tmp_path, monkeypatch):
+    """Of 20 iterations of 96 steps 18 were there. The other two took 4 s."""
+    monkeypatch.setattr(metrics, "time", SimpleNamespace(monotonic=iter((0.0, 4.0)).__next__))
+    log = metrics.Log(tmp_path, 18, 20)
+    log.add(20, NUMBERS | dict(steps=20 * 96))
+    row = dict(zip(log.header.decode().split(","), log.unwritten.split(","), strict=True))
+    assert (row["time_s"], row["steps_per_s"]) == ("4.0", "48.0")
+
+
+def test_curves_are_of_pi_and_of_its_rival(tmp_path, monkeypatch):
+    text = "steps,reward,prime_reward,alpha\n1000000,2,3,200\n2000000,4,5,100\n"
+    (tmp_path / "metrics.csv").write_text(text)
+    drawn = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda x, *_, **__: drawn.append(x))
+    metrics.draw_curves(tmp_path)
+    panels = {
+        axes.get_title(): {x.get_label(): x.get_xydata().tolist() for x in axes.lines}
+        for axes in drawn[0].axes
+    }
+    assert panels["reward per step"] == {"pi": [[1, 2], [2, 4]], "pi'": [[1, 3], [2, 5]]}
+    assert panels["alpha, the weight of the task"] == {"pi": [[1, 200], [2, 100]]}
+
+
+# ---- what JAX is told ----
+
+OFF = "--xla_cpu_experimental_ynn_fusion_type="
+
+
+@pytest.mark.parametrize(
+    ("jaxlib", "given", "flags"),
+    [
+        ("0.10.0", "", []),
+        ("0.10.1", "", [OFF]),
+        ("0.12.0", "--a=1", ["--a=1", OFF]),
+        ("0.12.1.dev3", "", []),
+        ("0.11.0", f"{OFF}2", [f"{OFF}2"]),
+    ],
+)
+def test_train_turns_ynn_off_where_it_is_known(monkeypatch, jaxlib, given, flags):
+    monkeypatch.setattr(jax_setup, "version", lambda package: jaxlib)
+    monkeypatch.setenv("XLA_FLAGS", given)
+    with pytest.raises(SystemExit):
+        train.main(["-h"])
+    assert os.environ["XLA_FLAGS"].split() == flags
