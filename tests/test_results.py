@@ -380,7 +380,7 @@ def test_fig6_has_a_line_for_each_seed_and_their_mean():
 
 
 def test_each_lambda_has_its_marker_and_its_shade():
-    """Eq. (10)'s nine, from 0 to 0.02. A shade is of 0, to 0.0005, to 0.002, to 0.005, and above."""
+    """Eq. (10)'s nine, from 0 to 0.02. Shades are of 0, to 0.0005, to 0.002, 0.005, and above."""
     looks = [figures.style(f"PPO({lam:g})") for lam in tables.LAMBDAS]
     assert "".join(look["marker"] for look in looks) == "os^v<>pPX"
     shades = [look["color"] for look in looks]
