@@ -107,7 +107,8 @@ def counted(results=tables.RESULTS):
         commits = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
         unsure = [x for x in commits if x == "unknown" or x.endswith("+")]  # one may be several
         if len(commits) > 1 or unsure:
-            raise Refused(f"no comparison mixes commits: {', '.join(sorted(commits))}")
+            what = "a comparison is of one commit, known and unchanged, and not of the commits"
+            raise Refused(f"{what}: {', '.join(sorted(commits))}")
     if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
     return {group: tables.with_primes(kinds) for group, kinds in found.items()}
