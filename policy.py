@@ -57,13 +57,16 @@ class Policy:
 
     def start(self):
         """Forget what was seen, as at the start of an episode."""
-        self.steps, self.frames, self.action = 0, [], np.zeros(12)
+        self.steps, self.frames = 0, []
+        self.action, self.estimate = np.zeros(12), np.zeros(3)
 
     def act(self, gravity, command, q, qd):
         """Joint targets (12,) [rad] for what a robot measures, in the units of the table above.
 
         It leaves `estimate` and `action` behind. The networks see the last H frames, the oldest
-        first; at the start all of them are the first one.
+        first; at the start all of them are the first one. If a number is not finite, a sensor has
+        failed, and the last frame is seen once more; until there is one, the target is the pose of
+        action 0.
         """
         period = self.config["timestep"] * self.config["physics_steps"]
         phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
@@ -72,8 +75,10 @@ class Policy:
         frame = np.concatenate([gravity, command, pose, qd, self.action, clock])
         seen = (frame * self.frame_scale).astype(np.float32)
         history = self.config["history"]
-        if not np.isfinite(seen).all():  # a sensor failed: what was seen last is shown once more
-            seen = self.frames[-1] if self.frames else np.zeros_like(seen)
+        if not np.isfinite(seen).all():
+            if not self.frames:
+                return self.q_nominal.copy()
+            seen = self.frames[-1]
         self.frames = [*self.frames[1:], seen] if self.frames else [seen] * history
         self.steps += 1
         limit = self.config["action_limit"]
@@ -91,7 +96,7 @@ class Policy:
 
 
 def mlp(layers, x):
-    """The output of an MLP with ELU between its layers [(W, b), ...]."""
+    """Outputs (..., m) of an MLP for x (..., n), with ELU between its layers [(W, b), ...]."""
     for i, (weights, bias) in enumerate(layers):
         if i:
             x = np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
@@ -109,7 +114,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file, or an error of whatever reader finds that it is none.
+    """The Policy in a file. What is no policy raises what NumPy or JSON raise, or a ValueError.
 
     Files of older runs have more arrays, which are ignored.
     """
