@@ -38,10 +38,10 @@ class Config(PPOConfig):
 
     algo: Literal["eipo", "ppo"] = "eipo"  # [III] ppo: without pi_prime, with a fixed lambda
     lam: float = 0.005  # [V-A] EIPO: lambda_0, alpha starts at 1 / lam; PPO: lambda of Eq. (2)
-    seed: int = 0  # [ours] seed of all random numbers: networks, exploration and environments
+    seed: int = 0  # [ours] seed of networks, exploration and environments, but not of the ground
     num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
-    num_steps: int = 24  # [IV-C] T, control steps of each environment in a rollout
+    num_steps: int = 24  # [IV-C] T, control steps of each robot in a rollout
     lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha; larger on three tasks (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha; less on rough (D38)
@@ -99,7 +99,8 @@ def eipo(env, env_prime, cfg, state=None):
     env, env_prime: environments of pi and of pi_prime
     state:          State to resume from, with both environments as they were then; None: a new one,
                     with networks.MLP. cfg.lam is above 0
-    Metrics are of pi and alpha before the iteration changes them. The tags are the paper's line
+    Metrics are of pi and alpha before the iteration changes them, and losses are means over the
+    update that does. The tags are the paper's line
     numbers. Where line 11 prints pi, it means pi_prime (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha

@@ -1,5 +1,6 @@
 """Trained policies, measured as in Sections IV-D and V: `python evaluate.py RUN...` plays episodes
-of 1000 control steps without exploration noise, and prints a line for each run folder.
+of 1000 control steps without exploration noise, and prints a line for each run folder: performance
+with a 95 % interval, the share of episodes that ended early, v_x and peak [m/s], power [W] and J/m.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
 drawn, as in training, but the ground is new. Policies that play equally many episodes start from
@@ -127,9 +128,9 @@ def iqm(x, axis=None):
 
 
 def commands_of(task):
-    """The commands (n, 3) of an evaluation: 0, 1/10, ..., 1 of the task's example [Figs. 2 to 4].
+    """The commands (n, 3) [m/s, m/s, rad/s] of an evaluation [Figs. 2 to 4].
 
-    It is a single one if the task asks for nothing.
+    They are 0, 1/10, ..., 1 of the task's example. It is a single one if the task asks for nothing.
     """
     example = tasks.TASKS[task].commands().example
     return np.arange(11)[:, None] / 10 * example if example.any() else np.zeros((1, 3))
@@ -166,14 +167,13 @@ def interval(x, statistic=np.mean, **options):
     return tuple(np.where(np.isnan(ends), np.inf, ends))
 
 
-def evaluate(folder, args):
-    """Play episodes of a run, and return what `main` prints of it: numbers by name.
+def evaluate(pi, env_cfg, episodes):
+    """Play episodes of what `load` returns, and return what `main` prints of it: numbers by name.
 
     The 95 % interval is of performance.
     """
-    pi, env_cfg = load(folder, args.clip or CLIP, prime=args.prime)
     commands = commands_of(env_cfg.task)
-    each = math.ceil(args.episodes / len(commands))  # equally many of each command
+    each = math.ceil(episodes / len(commands))  # equally many of each command
     asked = np.tile(commands, (each, 1))
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
     low, high = interval([played.performance], batch=100)
@@ -185,11 +185,11 @@ def evaluate(folder, args):
 @program("evaluate.py")
 def main(argv):
     """Evaluate and print; returns the exit status."""
-    parser = Parser("evaluate.py", __doc__.split("\n\n")[0])
+    parser = Parser("evaluate.py", __doc__)
     add = parser.add_argument
     add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
     add("--episodes", type=int, default=1000, help="of each run (default: 1000)")
-    add("--clip", choices=("torque", "power"), help="what Eq. (9) clips (D3)")
+    add("--clip", choices=("torque", "power"), default=CLIP, help="of Eq. (9), D3 (default: power)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):
@@ -197,11 +197,12 @@ def main(argv):
     names = [folder.resolve().name for folder in args.runs]
     if len({*names}) < len(names):  # folders of one name, so with the way to them
         names = args.runs
-    for i, folder in enumerate(args.runs):
-        row = evaluate(folder, args)
+    loaded = [load(folder, args.clip, prime=args.prime) for folder in args.runs]
+    for i, (pi, env_cfg) in enumerate(loaded):
+        row = evaluate(pi, env_cfg, args.episodes)
         if i == 0:
             print("| run |", " | ".join(row), "|\n|---" + "|---" * len(row) + "|")
-        cells = " | ".join(f"{x:.4g}" for x in row.values())
+        cells = " | ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values())
         print(f"| {names[i]} | {cells} |", flush=True)
     return 0
 

@@ -240,7 +240,7 @@ class Go1Env:
             torques.append(self.ctrl.copy())
             self.batch.step()
             touched |= self.contacts > 0  # each counts the contacts of its part
-            qds.append(self.qvel[:, 6:].copy())  # not clipped: the URDF's limit is the motor's
+            qds.append(self.qvel[:, 6:].copy())  # joints may exceed the URDF's limit
         return Substeps(np.array(torques), np.array(qds), touched)
 
     def _outcome(self, substeps, motion, action_before):

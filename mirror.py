@@ -16,8 +16,8 @@ about half as many numbers as x, since the others repeat those, up to signs, or 
 
 take two products of a quarter of an ordinary layer's size, and so half as long.
 
-A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array may have
-several parts, one after the other, and a list of mirrors, one for each. An environment has such
+A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array that is made
+of parts, one after the other, has a list of mirrors, one for each part. An environment has such
 lists for all that it shows or is told, in `mirror`.
 """
 

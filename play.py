@@ -73,7 +73,7 @@ def play(env, pi, seed=0):
 
 
 def kind(pi):
-    """What a Policy comes from, as tables say it: EIPO or PPO(lambda), and which cost or reward."""
+    """What a Policy comes from: EIPO or PPO(lambda), and which cost or reward."""
     name = f"PPO({pi.about['lam']:g})" if pi.about["algo"] == "ppo" else "EIPO"
     aux, reward = pi.config["aux"], pi.config["reward"]
     return name + " smooth" * (aux == "smooth") + " shaped" * (reward == "shaped")
@@ -125,7 +125,7 @@ def draw(args, policies, envs, asked):
 @program("play.py")
 def main(argv):
     """Play or draw; returns the exit status."""
-    parser = Parser("play.py", __doc__.splitlines()[0])
+    parser = Parser("play.py", __doc__)
     add = parser.add_argument
     add("runs", metavar="RUN", nargs="+", type=Path, help="run folder with a policy.npz")
     add("--gif", metavar="FILE", type=Path, help="draw the runs into a GIF instead of a window")
@@ -135,7 +135,7 @@ def main(argv):
     add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
     three = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
     add("--command", **three, help="m/s, m/s, rad/s (default: the example of the first run's task)")
-    add("--slow", type=float, help="times slower than real (default: 1, of a GIF 4)")
+    add("--slow", type=float, help="times slower than real, a GIF at least 1 (default: 1, a GIF 4)")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), LIMITS):
         parser.error(line)
@@ -148,6 +148,9 @@ def main(argv):
     loaded = [run_folder.load_policy(run / "policy.npz") for run in args.runs]
     policies, configs = zip(*loaded, strict=True)
     examples = [tasks.TASKS[env_cfg.task].commands().example for env_cfg in configs]
+    for run, env_cfg, example in zip(args.runs, configs, examples, strict=True):
+        if args.command and not example.any():
+            raise Refused(f"{run} is of {env_cfg.task}, whose robots are not asked for a speed")
     asked = np.array(args.command or examples[0], float)
     envs = [make_env(env_cfg, asked) for env_cfg in configs]
     if len({(env.period, x.any()) for env, x in zip(envs, examples, strict=True)}) > 1:

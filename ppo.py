@@ -106,7 +106,11 @@ def shuffled(key, size, cfg):
 
 
 def ppo_loss(params, batch, cfg):
-    """Loss of a minibatch, and what to log. Each network learns from a term of its own."""
+    """Loss of a minibatch, and what to log. Each network learns from a term of its own.
+
+    batch: of S samples: obs (S, D), privileged (S, P), action (S, A), log_prob (S,), target (S, K)
+           and advantage (S,)
+    """
     mean, std, guess = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)

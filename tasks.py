@@ -1,7 +1,8 @@
 """The four tasks of Section IV-A, their commands, and every setting of the simulated world.
 
 `TASKS` says what makes a task that task, `Config` holds the world's settings with their defaults,
-and `task_config` puts both together. A setting that is a range is drawn anew for each episode.
+and `task_config` puts both together. A setting that is a range is drawn anew for each episode, but
+for `roughness`, which goes from tile to tile.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import rewards
 
 
 class Commands:
-    """What robots are asked to do, which is nothing. Classes of their own ask for more."""
+    """No commands: every robot is asked for 0. Subclasses ask for something."""
 
     example = np.zeros(3)  # play.py asks for this, and evaluate.py for parts of it
     low = high = np.zeros(3)  # the ends of the viewer's sliders
@@ -138,7 +139,7 @@ class Task(NamedTuple):
 
 # Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
 # on `velocity`; for `curriculum` it prints none. So that alpha gets somewhere in so few, it takes
-# larger steps than the paper's 0.01, except on `velocity` (D38), which has half as many robots
+# larger steps than the paper's 0.01, except on `velocity` (D38). `velocity` has half as many robots
 # (D9).
 TASKS = {
     "flat": Task(
@@ -209,7 +210,7 @@ class Config:
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, from lowest to highest point: range over the tiles
     cells_per_m: int = 4  # [lab code] cells of the Perlin noise per metre; fewer make wider hills
     ground_seed: int = 0  # [ours] seed of the Perlin noise; evaluation has its own
-    start_spread: float = 0.5  # [lab code] how far robots start from the nominal pose; 0: in it
+    start_spread: float = 0.5  # [lab code] of the start: share of joint angles, m/s and rad/s (D35)
     tiles: int = 16  # [ours] tiles of ground, from the least to the greatest roughness
     friction: tuple = (0.5, 1.25)  # [lab code] range of the sliding friction of the feet
     payload: tuple = (-1.0, 1.0)  # [lab code] kg, range of the load on the trunk
@@ -219,7 +220,7 @@ class Config:
     gravity: tuple = (0.0, 0.0)  # [lab code] m/s^2, range of what is added to gravity in x, y, z
     motor_model: bool = False  # [IV-A.4] a model of the real motors instead of ideal PD (D11)
     latency: int = 0  # [lab code] physics steps until a joint target reaches the motors
-    max_power: float | None = None  # [IV-A.4] W, an episode ends above it; None, inf: no limit
+    max_power: float | None = None  # [IV-A.4] W, an episode ends above it; inf: no limit
     reward: Literal["paper", "shaped"] = "paper"  # [V-E] Eqs. (5) to (8), or that of [5]
     aux: Literal["energy", "smooth"] = "energy"  # [V-E] auxiliary cost: Eq. (9), or Eq. (11)
     stagger: bool = True  # [lab code] first episodes start at random ages, so that few end at once

@@ -95,8 +95,8 @@ def main(argv):
     args = parser.parse_args(argv)
     if line := misfit(dict(v_x=args.v_x), LIMITS):
         parser.error(line)
-    if args.out.is_dir() or not args.out.parent.is_dir():
-        parser.error(f"--out is {args.out}: it must be a file in a folder that exists")
+    if args.out.suffix.lower() != ".png" or not args.out.parent.is_dir():
+        parser.error(f"--out is {args.out}: it must end in .png, and its folder must exist")
     loaded = [evaluate.load(run, nominal=True) for run in args.runs]
     for run, (_, env_cfg) in zip(args.runs, loaded, strict=True):
         if not tasks.TASKS[env_cfg.task].commands().example.any():

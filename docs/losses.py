@@ -1,15 +1,20 @@
 """What joint losses, soft feet and physics steps of 2 ms do to a walk: `python -m docs.losses RUN`
-prints the table of deploy.md. RUN is a run of `flat`.
+prints a table like that of deploy.md. RUN is a run of `flat`.
 
-The episodes are those of `evaluate.py RUN --episodes 330`, whose score and falls are those of the
-first row. Speed and power leave out the episodes that end in a fall, which is fast and costly.
+The episodes are those of `evaluate.py RUN` with as many --episodes, whose score and falls are those
+of the first row. Speed and power leave out the episodes that end in a fall, which is fast and
+costly.
 """
 
 import math
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
+
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
 
 import numpy as np
 
@@ -57,9 +62,10 @@ def measure(pi, env_cfg, asked, friction=0.0, damping=0.0, kd=go1.KD, solimp=Non
 @program("docs.losses")
 def main(argv):
     """Print the table of a RUN, from --episodes of each row; returns the exit status."""
-    parser = Parser("docs.losses", __doc__.splitlines()[0])
-    parser.add_argument("run", metavar="RUN", type=Path)
-    parser.add_argument("--episodes", type=int, default=330)
+    parser = Parser("docs.losses", __doc__)
+    add = parser.add_argument
+    add("run", metavar="RUN", type=Path, help="run folder with a policy.npz")
+    add("--episodes", type=int, default=330, help="of each row (default: 330)")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):
         parser.error(line)

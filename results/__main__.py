@@ -1,7 +1,8 @@
 """`python -m results NAME ...`: figures and tables of trained robots. NAME is one of
 
     a figure  RUN...   fig2 fig3 fig4 fig5 fig6 table1 tradeoff alpha, as PNG and CSV in --out
-    weights   RUN...   a figure of PPO at each lambda and EIPO from each lambda_0, and who is good
+    weights   RUN...   a figure of PPO at each lambda and EIPO from each lambda_0, and tables that
+                       say which are within the margin of the best
     summary   RUN...   a line for each kind of run: score, power, energy and falls
     table     RUN...   the same with more, for each seed, and on curriculum by region of commands
     claims             the paper's claims, each with a verdict by rule, of the runs in --results
@@ -26,6 +27,7 @@ from runtime.cli import COUNT, Parser, misfit, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha", "weights"
 TABLES = "summary", "table"
+TAKEN_BY = dict(out=FIGURES, results=("add", "claims"), episodes=("add",))
 
 
 @program("python -m results")
@@ -35,31 +37,31 @@ def main(argv):
     add = parser.add_argument
     add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
-    add("--out", type=Path, default=Path(), help="folder for PNG and CSV of a figure")
-    add(
-        "--results",
-        type=Path,
-        default=tables.RESULTS,
-        help="folder of the tables, for add and claims",
-    )
+    add("--out", type=Path, help="folder for PNG and CSV of a figure (default: this one)")
+    add("--results", type=Path, help="folder of the tables, for add and claims (default: ours)")
     add("--episodes", type=int, help="that add plays, per policy and kind of start")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):
         parser.error(line)
     if bool(args.what) == (args.name == "claims"):
         parser.error(f"{args.name} takes {'no' if args.what else 'at least one'} argument")
+    for flag, names in TAKEN_BY.items():
+        if vars(args)[flag] is not None and args.name not in names:
+            parser.error(f"{args.name} takes no --{flag}")
+    results = args.results or tables.RESULTS
+    out = args.out or Path()
     if args.name == "add":
-        tables.add(args.what, args.results, args.episodes)
+        tables.add(args.what, results, args.episodes)
     elif args.name in TABLES:
         print(*getattr(claims, args.name)(tables.runs(args.what)), sep="\n")
     elif args.name == "claims":
-        print(*claims.claim_lines(claims.counted(args.results)), sep="\n")
+        print(*claims.claim_lines(claims.counted(results)), sep="\n")
     else:
         runs = tables.runs(args.what)
         rows, figure = getattr(weights if args.name == "weights" else figures, args.name)(runs)
-        args.out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         png = dict(dpi=150, format="png")
-        picture = args.out / f"{args.name}.png"
+        picture = out / f"{args.name}.png"
         run_folder.replace_file(picture, lambda file: figure.savefig(file, **png))
         tables.write(picture.with_suffix(".csv"), rows)
         if args.name == "weights":

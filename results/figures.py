@@ -1,10 +1,10 @@
 """The paper's Figures 2 to 6 and Table I, from kept episodes.
 
 Each figure is a function of Runs that returns the rows of its CSV and the picture. Numbers are
-means, or in Table I interquartile means, with two 95 % bootstrap intervals. One resamples the
-episodes of all seeds, as the paper does. The other resamples the seeds, and so shows how much
-trainings differ. With two or three seeds it reaches from the lowest seed to the highest, which is
-less than 95 %.
+means, or in Table I interquartile means (but for J/m), with two 95 % bootstrap intervals. One
+resamples the episodes of all seeds, as the paper does. The other resamples the seeds, and so shows
+how much trainings differ. With two or three seeds it reaches from the lowest seed to the highest,
+which is less than 95 %.
 """
 
 import re
@@ -38,14 +38,16 @@ def style(name):
     """Color and marker of a kind of run in every figure but that of `weights`.
 
     EIPO is blue, PPO yellow to brown by lambda, in five shades that one can tell apart: of 0, up to
-    0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker.
+    0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker. Lines of runs with other
+    settings are dashed.
     """
     lam = re.search(r"(?:PPO\(|from )([^ ,)]+)", name)
     lam = float(lam[1]) if lam else -1  # EIPO from its usual lambda_0
     shade = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
     color = colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[shade])
     color = "#0072B2" if name.startswith("EIPO") else color
-    return dict(color=color, marker="Dos^v<>pPX"[sum(x <= lam for x in LAMBDAS)])
+    look = dict(color=color, marker="Dos^v<>pPX"[sum(x <= lam for x in LAMBDAS)])
+    return look | dict(linestyle="--" if re.search(", |smooth|shaped", name) else "-")
 
 
 def summarise(name, by_seed, statistic=np.mean):
@@ -290,7 +292,7 @@ def tradeoff(runs):
         score = score_of(group)
         for name, arm in tables.with_primes(kinds).items():
             look = style(name.removeprefix("pi' of "))
-            look["edgecolors"] = look.pop("color")
+            look["edgecolors"], look["linestyle"] = look.pop("color"), "-"
             look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
             each, _ = tables.means(arm)
             x, y = each[score], each["power"]

@@ -5,7 +5,7 @@
 #     sbatch --array=0-80 results/sweep.sh TABLE              on a cluster with SLURM
 #     seq 0 80 | xargs -P 2 -n 1 results/sweep.sh TABLE       on one machine, two runs at a time
 #
-# A task that was killed goes on from its last checkpoint if it is started again, and one that is
+# A run that was killed goes on from its last checkpoint if it is started again, and one that is
 # finished ends after some seconds. A run has as many threads as SLURM gives it cores, or as CORES says.
 #SBATCH --cpus-per-task=1
 #SBATCH --requeue

@@ -123,6 +123,8 @@ def runs(patterns):
         files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
         listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
         names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
+        if not listed:
+            raise Refused(f"{path} has no runs: there is no {place / RUNS}")
         if not names:
             raise Refused(f"{place / RUNS} has no run {name}")
         for run in names:
@@ -352,7 +354,8 @@ def add(folders, results=RESULTS, num_episodes=None):
     """Play run folders and put them into the tables of their tasks in the folder `results`.
 
     num_episodes: of each policy and kind of start, if not NUM_EPISODES and NUM_OTHERS. A run of the
-    same name and settings is replaced. Whatever is refused is refused before anything is played.
+    same name and settings is replaced. What is refused is refused before anything is played, but
+    for a run that is trained on meanwhile.
     """
     found = {}
     for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):

@@ -31,7 +31,7 @@ class Options:
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
 # What each number may be, also both ends of a range: as much as can be simulated or learned from.
-FACTOR = {"at least": 1e-9, "at most": 10**9}  # so that float32 holds what is made of a few of them
+FACTOR = {"at least": 1e-9, "at most": 10**9}  # products of a few still fit into float32
 FACTOR_OR_0 = {"at least": 0, "at most": 10**9}
 SHARE = {"at least": 0, "at most": 1}
 LIMITS = dict(
@@ -176,7 +176,7 @@ def check(options, env_cfg, cfg):
     if cfg.mirror and any(n % 2 for n in units):
         raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
     if cfg.num_envs % policies:
-        what = f"num_envs is {cfg.num_envs}: {policies} policies have equal shares"
+        what = f"--num-envs is {cfg.num_envs}: {policies} policies have equal shares"
         raise Refused(f"{what}, so it must be a multiple of {policies}")
     if batch < 1:
-        raise Refused("num_minibatches is greater than num_steps * num_envs of each policy")
+        raise Refused("--num-minibatches is greater than num_steps * num_envs of each policy")

@@ -177,8 +177,8 @@ def browser(env, steps, command, port=0, slow=1.0):
 
 
 def film(env, steps, seconds, size=SIZE, every=1):
-    """Pictures (height, width, 3) uint8 of one control step in `every`, in `seconds`; and for each
-    picture the means of v_x [m/s] and power [W] over the second up to it.
+    """Pictures (height, width, 3) uint8, of every `every`-th control step during `seconds` of the
+    robot's time; and of each the means of v_x [m/s] and power [W] over the second up to it.
 
     size: (width, height) of the pictures
     """

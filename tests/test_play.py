@@ -312,6 +312,13 @@ def test_runs_that_cannot_be_asked_for_the_same_are_refused(runs, capsys, tmp_pa
     assert "side by side" in error_of(capsys, play.main, *argv) and not [*tmp_path.iterdir()]
 
 
+def test_a_command_for_robots_that_have_none_is_refused(runs, capsys, tmp_path):
+    argv = runs["velocity"], "--command", 3, 0, 0, "--gif", tmp_path / "a.gif"
+    line = error_of(capsys, play.main, *argv)
+    assert "is of velocity, whose robots are not asked for a speed" in line
+    assert not [*tmp_path.iterdir()]
+
+
 def test_runs_of_unlike_control_steps_are_refused(runs, capsys, tmp_path):
     pi, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
     params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))

@@ -386,8 +386,16 @@ def test_each_lambda_has_its_marker_and_its_shade():
     shades = [look["color"] for look in looks]
     first = [shades.index(x) for x in shades]  # where a shade comes first
     assert first == [0, 1, 1, 1, 4, 4, 6, 7, 7]
-    assert figures.style("EIPO") == dict(color="#0072B2", marker="D")
-    assert figures.style("EIPO from 0.02") == dict(color="#0072B2", marker="X")
+    plain = dict(color="#0072B2", linestyle="-")
+    assert figures.style("EIPO") == plain | dict(marker="D")
+    assert figures.style("EIPO from 0.02") == plain | dict(marker="X")
+    others = (
+        "EIPO from 0.02, num_envs 512",
+        "PPO(0.005), num_envs 128",
+        "EIPO smooth",
+        "PPO(0) shaped",
+    )
+    assert {figures.style(name)["linestyle"] for name in others} == {"--"}
 
 
 def test_fig5_has_power_below_the_score():
@@ -1028,12 +1036,25 @@ def test_a_notebooks_backend_is_no_obstacle(tmp_path):
         (["fig2", str(RESULTS / "flat" / "nobody")], "no run nobody"),
         (["fig3", str(RESULTS / "flat" / "flat-ppo-lam0-seed10")], "task rough"),
         (["add", "nowhere"], "nowhere/policy.npz does not exist"),
+        (["summary", "nowhere"], "nowhere has no runs: there is no runs.csv"),
     ],
 )
 def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert says in error_of(capsys, main, *argv)
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("line", [
+    "summary RUN --out d", "add RUN --out d", "fig2 RUN --results d", "table RUN --episodes 1",
+    "claims --episodes 1", "claims --out d",
+])  # fmt: skip
+def test_a_flag_that_would_be_ignored_is_refused(line, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(line.split())
+    name, *_, flag, _ = line.split()
+    assert f"{name} takes no {flag}" in capsys.readouterr().err and not [*tmp_path.iterdir()]
 
 
 def test_a_run_that_two_patterns_find_counts_once():

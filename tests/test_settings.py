@@ -107,7 +107,7 @@ def test_what_is_typed_is_read():
         ("--lr 0.01", "--target-kl 0"),
         ("--hidden 8 3", "odd"),
         ("--num-envs 3", "multiple of 2"),
-        ("--num-envs 2 --num-steps 1 --num-minibatches 2", "num_minibatches"),
+        ("--num-envs 2 --num-steps 1 --num-minibatches 2", "--num-minibatches"),
     ],
 )
 def test_what_does_not_fit_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, given, says):
@@ -132,7 +132,7 @@ def test_settings_of_ppo_are_checked_as_ppo():
 
     check()
     check(**few, num_minibatches=3)
-    with pytest.raises(Refused, match="num_minibatches"):
+    with pytest.raises(Refused, match="--num-minibatches"):
         check(**few, num_minibatches=4)
 
 
