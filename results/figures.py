@@ -342,4 +342,6 @@ def alpha(runs):
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=7)
         log_axis(axes)
         axes.grid(alpha=0.3)
+    if not rows:
+        raise Refused("none of these runs is of EIPO, which alone has an alpha")
     return rows, figure

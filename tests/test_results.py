@@ -1035,6 +1035,7 @@ def test_a_notebooks_backend_is_no_obstacle(tmp_path):
     [
         (["fig2", str(RESULTS / "flat" / "nobody")], "no run nobody"),
         (["fig3", str(RESULTS / "flat" / "flat-ppo-lam0-seed10")], "task rough"),
+        (["alpha", str(RESULTS / "flat" / "flat-ppo-lam0-seed10")], "EIPO, which alone"),
         (["add", "nowhere"], "nowhere/policy.npz does not exist"),
         (["summary", "nowhere"], "nowhere has no runs: there is no runs.csv"),
     ],
