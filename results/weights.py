@@ -16,7 +16,7 @@ from results import tables
 from results.figures import BOTTOM, LABELS, log_axis, panels_by
 from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
-WALKS = 0.25  # m/s, mean speed ahead above which an arm counts as walking, by section 10
+WALKS = 0.25  # m/s, mean speed ahead above which an arm or a run counts as walking, by section 10
 BROWN = "#8C510A"
 COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195", "#C00000"  # kinds of EIPO
 
@@ -55,10 +55,10 @@ def weights(runs):
     for group, kinds in by_group(runs).items():
         for name, arm in kinds.items():
             each, _ = tables.means(arm)
-            columns = each[score_of(group)], each["power"], each["J/m"]
-            for run, score, power, energy in zip(arm, *columns, strict=True):
+            columns = each[score_of(group)], each["power"], each["J/m"], each["v_x"]
+            for run, score, power, energy, v_x in zip(arm, *columns, strict=True):
                 row = dict(group=group, kind=name, run=run.name, lam=run.settings["lam"])
-                row |= dict(lam_end=last_lam(run), score=score, power=power, energy=energy)
+                row |= dict(lam_end=last_lam(run), score=score, power=power, energy=energy, v_x=v_x)
                 rows.append(row)
     figure, panels = panels_by("group", rows, 2)
     labels = dict.fromkeys(label(row) for row in rows if is_eipo(row["kind"]))
@@ -105,7 +105,7 @@ def draw(axes, rows, column, zero, colours):
     y = [means.get(lam, np.nan) for lam in line]
     axes.plot([lam or zero for lam in line], y, color=BROWN, linewidth=1)
     for name, face, stands in (("PPO", BROWN, False), ("PPO that does not walk", "white", True)):
-        dots = [row for row in ppo if np.isinf(row["energy"]) == stands]
+        dots = [row for row in ppo if (row["v_x"] <= WALKS) == stands]
         at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
         axes.plot(at, y, "o", color=BROWN, markerfacecolor=face, markersize=4, label=name)
     eipo = [row for row in rows if is_eipo(row["kind"])]

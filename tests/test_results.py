@@ -332,12 +332,13 @@ def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arr
 
 def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     """lambda 0 stands left of 0.0001, and the line ends where no weight was run. A robot that
-    stands has an open dot. EIPO's arrow goes from 0.02 to 1 / 200, leftwards, with a stroke where
-    it starts.
+    does not walk, at 0.25 m/s and less, has an open dot. EIPO's arrow goes from 0.02 to 1 / 200,
+    leftwards, with a stroke where it starts.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.3], [100], algo="ppo", lam=0.0001)
-    runs[0].episodes["v_x"][:] = 0
+    runs[0].episodes["v_x"][:] = 0.25
+    runs[1].episodes["v_x"][:] = 0.26
     runs += seeds("c", [1.44], [200], lam=0.02)
     rows, figure = weights.weights(runs)
     assert [(row["lam"], row["lam_end"]) for row in rows if row["run"] == "c0"] == [(0.02, 0.005)]
