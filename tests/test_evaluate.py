@@ -86,8 +86,9 @@ def test_no_seed_of_training_draws_what_evaluation_draws():
     assert evaluate.SEED >= 2**33
 
 
-def test_what_stands_in_the_way_is_one_line(folder, capsys):
-    assert "nowhere/policy.npz" in error_of(capsys, evaluate.main, "nowhere")
+def test_what_stands_in_the_way_is_one_line(folder, asked, capsys):
+    assert "nowhere/policy.npz" in error_of(capsys, evaluate.main, folder, "nowhere")
+    assert not asked  # nothing was played before
     with pytest.raises(SystemExit, match="2"):
         evaluate.main([str(folder), "--episodes", "0"])
     (said,) = capsys.readouterr().err.splitlines()
