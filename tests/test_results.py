@@ -457,7 +457,7 @@ def test_alpha_is_drawn_over_iterations():
 
 
 def test_weights_prints_its_tables(tmp_path, capsys):
-    runs = str(ROOT / "results/flat/flat-*lam*seed1?")
+    runs = str(ROOT / "results/flat/new-*")
     assert main(["weights", runs, "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().out.splitlines() == list(weights.answers(tables.runs([runs])))
 
@@ -977,8 +977,11 @@ def test_the_record_can_be_read():
     assert len(files) <= 110 and sum(path.stat().st_size for path in files) < 15e6
 
 
-TRADEOFF = "flat4000-*", "flat-eipo-lam0.005-*", "flat-ppo-lam0-*", "flat-ppo-lam0.00[25]-*"
-WEIGHTS = "flat/flat-*lam*seed1?", "flat/new-*", "rough/new-*"
+TRADEOFF = (
+    "flat4000-*",
+    *(f"new-flat-{x}-*" for x in ("eipo-lam0.005", "ppo-lam0", "ppo-lam0.00[125]")),
+)
+WEIGHTS = "flat/new-*", "rough/new-*"
 
 
 @pytest.mark.parametrize("picture, runs", [
