@@ -49,7 +49,7 @@ def main(argv):
     add = parser.add_argument
     add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
-    add("--out", type=Path, help="folder for PNG and CSV of a figure (default: this one)")
+    add("--out", type=Path, help="folder for PNG and CSV of a figure (default: where you are)")
     add("--results", type=Path, help="folder of the tables, for add and claims (default: ours)")
     add("--episodes", type=int, help="that add plays, per policy and kind of start")
     args = parser.parse_args(argv)
