@@ -73,8 +73,12 @@ def play(env, pi, seed=0):
 
 
 def kind(pi):
-    """What a Policy comes from: EIPO or PPO(lambda), and which cost or reward."""
-    name = f"PPO({pi.about['lam']:g})" if pi.about["algo"] == "ppo" else "EIPO"
+    """What a Policy comes from: PPO(lambda), or EIPO and its start if that is not its task's, and
+    which cost or reward.
+    """
+    lam, algo = pi.about["lam"], pi.about["algo"]
+    usual = tasks.TASKS[pi.config["task"]].learner.get("lam", lam)
+    name = f"PPO({lam:g})" if algo == "ppo" else "EIPO" + f" from {lam:g}" * (lam != usual)
     aux, reward = pi.config["aux"], pi.config["reward"]
     return name + " smooth" * (aux == "smooth") + " shaped" * (reward == "shaped")
 

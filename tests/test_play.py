@@ -163,6 +163,7 @@ EIPO, PPO = dict(algo="eipo", lam=0.005), dict(algo="ppo", lam=0.01)
     [
         ("x/a x/b", (EIPO, PPO), ["EIPO", "PPO(0.01)"]),
         ("x/a x/b", (EIPO, EIPO), ["EIPO", "EIPO smooth"]),
+        ("x/a x/b", (EIPO, EIPO | dict(lam=0.02)), ["EIPO", "EIPO from 0.02"]),
         ("x/a x/b", (EIPO, PPO | dict(lam=0.0)), ["EIPO", "PPO(0) shaped"]),
         ("x/a x/b x/c", (EIPO, PPO, EIPO), ["a", "b", "c"]),
         ("x/a x/b", (EIPO, {}), ["a", "b"]),
@@ -170,7 +171,8 @@ EIPO, PPO = dict(algo="eipo", lam=0.005), dict(algo="ppo", lam=0.01)
     ],
 )
 def test_runs_have_the_names_of_the_tables_or_of_their_folders(folders, abouts, names):
-    paper, shaped = dict(aux="energy", reward="paper"), dict(aux="energy", reward="shaped")
+    paper = dict(task="flat", aux="energy", reward="paper")
+    shaped = paper | dict(reward="shaped")
     config = {"PPO(0) shaped": shaped, "EIPO smooth": paper | dict(aux="smooth")}
     policies = [
         SimpleNamespace(about=about, config=config.get(name, paper))
