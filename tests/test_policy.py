@@ -167,11 +167,11 @@ def test_what_is_no_policy_is_one_line_that_names_it(tmp_path, capsys, damage):
 class Elsewhere:
     """A robot in MuJoCo without our environment, for the loop of the page.
 
-    timestep: [s]; broken: (from, to) [s], while which the first `failing` of its three measurements
-        are NaN
+    timestep: [s]; broken: (from, to) [s], while which those `failing` of its three measurements are
+        NaN
     """
 
-    def __init__(self, timestep=0.005, broken=(0.0, 0.0), failing=3):
+    def __init__(self, timestep=0.005, broken=(0.0, 0.0), failing=(0, 1, 2)):
         self.data = mujoco.MjData(go1.build_model(timestep, ground=None))
         mujoco.mj_resetDataKeyframe(self.data.model, self.data, 0)
         mujoco.mj_kinematics(self.data.model, self.data)
@@ -180,8 +180,8 @@ class Elsewhere:
 
     def measure(self):
         seen = [self.data.qpos[3:7], self.data.qpos[7:], self.data.qvel[6:]]
-        failing = self.failing if self.broken[0] <= self.data.time < self.broken[1] else 0
-        return [x * np.nan for x in seen[:failing]] + [x.copy() for x in seen[failing:]]
+        failing = self.failing if self.broken[0] <= self.data.time < self.broken[1] else ()
+        return [x * np.nan if i in failing else x.copy() for i, x in enumerate(seen)]
 
     def apply(self, torque):
         self.data.ctrl = torque
@@ -213,17 +213,19 @@ def test_the_loop_of_deploy_md_walks(page, timestep, steps):
 @pytest.mark.go1
 def test_the_loop_of_deploy_md_survives_its_sensors(page):
     """It walks on after a gap of 60 ms. A longer one lets it forget, and only damps what is known:
-    nothing, or the joints of a robot whose quaternion is NaN.
+    nothing, or the joints of a robot whose quaternion or whose joint angles are NaN.
     """
     gap = Elsewhere(broken=(1.998, 2.058))
-    blind, dizzy = (Elsewhere(broken=(1.998, 9.0), failing=n) for n in (3, 1))
-    for robot in (gap, blind, dizzy):
+    blind, *damped = (Elsewhere(broken=(1.998, 9.0), failing=x) for x in ((0, 1, 2), (0,), (1,)))
+    for robot in (gap, blind, *damped):
         page["walk"]([0.5, 0.0, 0.0], 3.0, robot.measure, robot.apply)
         assert np.isfinite(robot.torques).all()
         assert bool(page["pi"].frames) == (robot is gap)
     assert np.linalg.norm(gap.data.qpos[:2]) > 0.8 and gap.data.qpos[2] > 0.2
     assert not np.any(blind.torques[400:])
-    assert dizzy.torques[-1] == pytest.approx(-0.5 * dizzy.speeds[-1]) and dizzy.torques[-1].any()
+    for robot in damped:
+        assert robot.torques[-1].any()
+        assert robot.torques[-1] == pytest.approx(-0.5 * robot.speeds[-1])
 
 
 def test_gravity_of_deploy_md(page):
