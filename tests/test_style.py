@@ -147,7 +147,7 @@ def test_equation_table_resolves_both_ways():
 
 
 TAGS = [f"eq{n:02}" for n in range(1, 12)]
-TAGS += [f"line{n:02}" for n in (3, 4, 6, 8, 9, 10, 11, 12, 13, 14)]
+TAGS += [f"line{n:02}" for n in (3, 4, *range(6, 15))]
 
 
 @pytest.mark.parametrize("tag", [*TAGS, "algorithm1"])

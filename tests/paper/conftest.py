@@ -14,5 +14,6 @@ numbers:
 
 Numbers are chosen so that a line of arithmetic gives the answer, and the docstring of a test does
 it. Where they are dyadic, floating-point arithmetic is exact and `==` is meant. The world as a
-whole, its observations, contacts, commands and settings, is tested one folder above.
+whole, its observations, contacts, commands and settings, is tested one folder above. D2 and the
+like are entries of `deviations.md`, and the lab's code is what the paper's group has published.
 """

@@ -51,7 +51,9 @@ def test_eq02_lambda_objective_and_eq04_at_one_over_lambda():
 
 @pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 28.0), (0.0, -4.0)])
 def test_eq04_alpha_weighs_the_task(alpha, mixed):
-    """alpha A_r - A_f for A_r = 1 and A_f = 4: 32 - 4 = 28, and 0 - 4 = -4."""
+    """pi minimises L = F - alpha (J - max J'), so it maximises alpha J - F (line 8). For A_r = 1
+    and A_f = 4 that is 32 - 4 = 28, and 0 - 4 = -4.
+    """
     assert eipo.mix(np.array([1.0, 4.0]), alpha, 1) == mixed
 
 
@@ -67,10 +69,12 @@ def test_eq04_gradient_in_alpha():
 
 
 def test_eq10_the_sweep_has_its_nine_lambdas():
-    """Table I has a row for each lambda of Eq. (10), the 0 of PPO among them, and one for EIPO."""
+    """Table I has a row for EIPO, and one for PPO with each of the nine."""
     printed = (0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
     assert printed == tables.LAMBDAS
-    assert len(tables.KINDS) == 1 + 9
+    first, *rows, last = tables.KINDS
+    assert (first, rows[0], rows[1], last) == ("EIPO", "PPO(0)", "PPO(0.0001)", "PPO(0.02)")
+    assert len(rows) + 1 == 9
 
 
 # ---- GAE and the estimates of L8, L10, L12 ----

@@ -1,7 +1,7 @@
-"""Section III: Algorithm 1 as a whole. Its rollouts, lines, two policies and multiplier; probes.
+"""Section III: Algorithm 1 as a whole, its rollouts, its lines and, at the end, probes.
 
-The probes, after Andy Jones, are environments so small that the right answer is plain: one that
-fails says which part is broken.
+A probe is an environment so small that the right answer is plain, so one that fails says which part
+is broken. (The idea is of Andy Jones's "Debugging RL".)
 """
 
 import inspect
@@ -27,7 +27,8 @@ def policy(pi, obs):
 
 
 class Probe:
-    """16 environments whose episodes have `length` steps. One sees x, which is -1 or 1, and t.
+    """16 environments whose episodes have `length` steps. An observation is (x, t): x is -1 or 1,
+    and t counts the steps.
 
     reward, cost: functions of x, t and the action, each (16,)
     truncates:    whether episodes end because their time is up, or as by a fall
@@ -129,7 +130,8 @@ def test_algorithm1_line06_rollout_bootstraps_from_the_final_observation():
 
 
 def test_algorithm1_line08_the_critic_learns_lam_f_and_line_8_mixes_f():
-    """D6, D10. A rollout holds r and f as they are, here r = 1 and f = -126 W of a robot at rest.
+    """D6, D10. A rollout holds r and f as they are, here r = 1 and f = 74 - 200 = -126 W of a robot
+    that draws 74 W.
 
     With V = 0, a scale of 0.02 and lam = 1/200 pi's critic learns both, and pi_prime's r alone:
 
@@ -236,6 +238,23 @@ def test_algorithm1_line03_line06_policies_share_no_luck(with_effort):
     assert np.unique(np.round(noise, 4)).size > 0.95 * np.size(noise)
 
 
+def test_algorithm1_line06_line07_each_policy_acts_in_its_own_environment(monkeypatch):
+    """pi does 64 x and pi' -64 x, up to noise of deviation 1, so their signs say who acted."""
+    monkeypatch.setattr(eipo, "ppo_update", lambda learner, *_: (learner, dict(kl=0.0)))
+    pi, pi_prime = (
+        learner_of(handmade(np.zeros((3, heads)), np.zeros((2, 1)), [[weight], [0.0], [0.0]]))
+        for heads, weight in ((2, 64.0), (1, -64.0))
+    )
+    env, env_prime = Probe(one), Probe(one)
+    for each in (env, env_prime):
+        each.reset(0)
+    state = State(0, jax.random.PRNGKey(0), pi, pi_prime, Dual(1.0, 0.0))
+    next(eipo.eipo(env, env_prime, EIPO, state))
+    for each, sign in ((env, 1), (env_prime, -1)):
+        assert len(each.diary) == 8
+        assert all((sign * obs[:, :1] * action > 0).all() for obs, action in each.diary)
+
+
 def test_algorithm1_uses_no_key_twice(monkeypatch):
     """Two iterations have two rollouts and two updates each: eight keys."""
     keys = []
@@ -323,8 +342,8 @@ def test_algorithm1_learns_in_every_branch(algo, lam):
 
 
 def test_algorithm1_line09_line10_line11_what_each_policy_learns_from(monkeypatch):
-    """Episodes of two steps end as by a fall, and pay r = 1 and f = 4 a step. V = 3 t for both,
-    gamma = 1/2, gae_lambda = 0, alpha = 2:
+    """Episodes of two steps end as by a fall, and pay r = 1 and f = 4 a step. Every output of
+    both critics is V = 3 t; gamma = 1/2, gae_lambda = 0, alpha = 2:
 
                 t = 0                    t = 1
     target r    1 + 3/2 = 5/2            1

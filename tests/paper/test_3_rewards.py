@@ -103,6 +103,24 @@ def test_eq05_eq06_one_sided_eq08_two_sided(function, value, best):
     assert found == pytest.approx(np.array([[value], [best]]), rel=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("function", "value"),
+    [
+        (rewards.flat, E2 + 0.5 * E2),
+        (rewards.rough, E1 + 0.05 * E1 + 0.1 * E2),
+        (rewards.max_velocity, 0.5 * E1 * E2),
+        (rewards.curriculum, E2 + 0.5 * E2),
+    ],
+)
+def test_eq05_eq06_eq07_eq08_have_two_sigmas(monkeypatch, function, value):
+    """sigma_vxy = 1/4 and, here, sigma_wz = 1/2. v_x is short by 1/2 and v_y off by 1/2, a factor
+    1/e each. The yaw rate is off by 1, which costs exp(-1^2 / (1/2)) = 1/e^2.
+    """
+    monkeypatch.setattr(rewards, "SIGMA_WZ", 0.5)
+    found = reward(function, (0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
+    assert found == pytest.approx(value, rel=1e-14)
+
+
 # ---- D25: which velocity ----
 
 

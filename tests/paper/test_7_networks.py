@@ -462,10 +462,23 @@ def test_algorithm1_line09_ppo_trains_the_estimator_by_its_own_error_alone():
     assert trees_equal([one["estimator"], one["critic"]], [other["estimator"], other["critic"]])
 
 
+def test_algorithm1_line09_line11_a_step_has_the_size_lr():
+    """Adam's first step is lr, the paper's eta, for each number, however steep the slope. Here lr
+    is 1/1024, and there is one minibatch. Targets of 64 are above every value, so the critic learns
+    to say more.
+    """
+    cfg = replace(EIPO, num_epochs=1, num_minibatches=1)
+    high = np.full((8, 16, 2), 64, np.float32)
+    params, _, before = one_update(cfg=cfg, lr=2.0**-10, target=high)
+    (_, after), (_, bias) = (net["critic"].layers[-1] for net in (params, before))
+    assert np.asarray(after) - bias == pytest.approx(np.full(2, 2.0**-10), rel=1e-3)
+
+
 def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
     """Gradients of actor and noise, which count as one network, are clipped. Those of the critic
-    and of the estimator are small enough, each by itself. Adam's mean starts at 1/10, its mean
-    square at 1/1000 of the square:
+    and of the estimator are small enough, each by itself. By the beta_1 = 0.9 and beta_2 = 0.999 of
+    Section IV-C.c Adam's mean starts at 1/10 of the clipped gradient, and its mean square at 1/1000
+    of that gradient's square:
 
     gradient           norm     clipped        mean             mean square
     3, 4               5        0.6, 0.8       0.06, 0.08       0.36e-3, 0.64e-3
@@ -542,7 +555,9 @@ def test_algorithm1_line09_ppo_skips_a_minibatch_that_is_not_finite():
 
 
 def test_algorithm1_line09_ppo_skips_as_many_as_there_are():
-    """D36. Two iterations in which nothing is finite have 40 minibatches."""
+    """D36. With the paper's 5 epochs of 4 minibatches, two iterations in which nothing is finite
+    have 2 * 5 * 4 = 40.
+    """
     gradient = {name: jnp.full(1, jnp.nan) for name in ("actor", "log_std", "critic", "estimator")}
     optimizer = ppo.optimizer(EIPO)
     state = optimizer.init(gradient)

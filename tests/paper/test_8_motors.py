@@ -46,14 +46,15 @@ def test_motor_model():
         (2, True, 0, 0),
     ],
 )
-def test_limit_of_both_tables(sign, speed, torque_speed, hip, calf):
-    """By default the URDF's torques hold at any speed. With V-D it is the smaller one, for hip and
-    calf:
+def test_limit_of_urdf_and_of_section_v_d(sign, speed, torque_speed, hip, calf):
+    """The URDF limits torques to 23.7 N m (hip and thigh) and 35.55 N m (calf) at any speed. With
+    Section V-D the smaller one holds of these and 33 (1 - |qd| / qd_max). For hip and calf, by |qd|
+    as a share of qd_max:
 
-    at rest         min(33, 23.7)       min(33, 35.55)
-    at 1/4          min(24.75, 23.7)    24.75
-    at 1/2          16.5                16.5
-    at 2            0, not +-33 (D7)
+    0       min(33, 23.7)       min(33, 35.55)
+    1/4     min(24.75, 23.7)    24.75
+    1/2     16.5                16.5
+    2       0, where the print has 33 (1 - 2) = -33 (D7)
     """
     asked, expected = np.full(12, sign * 100.0), np.tile([hip, hip, calf], 4)
     limited = go1.limit_torque(asked, speed * TOP_SPEED, torque_speed)
