@@ -46,7 +46,7 @@ class Part(NamedTuple):
 # action and its clock. The mirrored robot's clock is half a period later, as in a trot.
 JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
 FRAME = dict(
-    gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # unit vector in the trunk's frame
+    gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # direction of gravity, in the trunk's frame
     command=Part(([0, 1, 2], [1, -1, -1]), scale=[2, 2, 0.25]),  # v_x, v_y [m/s], yaw rate [rad/s]
     q=Part(JOINTS, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
     qd=Part(JOINTS, scale=0.05, noise=1.5),  # rad/s
@@ -78,7 +78,7 @@ class Outcome(NamedTuple):
     overload: np.ndarray  # bool, it drew more than max_power and did not fall
 
 
-# of a robot whose numbers are not finite; at this power the cost of Eq. (9) is 0 (D36)
+# the Outcome of a robot whose numbers are not finite; at this power Eq. (9) is 0 (D36)
 NOTHING = Outcome(0.0, 0.0, 0.0, power=energy.SURVIVAL, fell=False, overload=False)
 
 
@@ -147,8 +147,8 @@ class Go1Env:
             privileged=np.zeros((n, 3), np.float32),  # m/s, the trunk's linear velocity
             age=np.zeros(n, np.int64),  # control steps since the episode began
             tile=np.zeros(n, np.int64),  # of the ground, where the episode takes place
-            # control steps since each foot touched it; from 1 on, as if it had been in the air
-            # in the step before the episode
+            # control steps since each foot last touched the ground; an episode starts with 1, as if
+            # the foot had been in the air one step before
             off_ground=np.ones((n, 4), np.int64),
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
@@ -166,7 +166,7 @@ class Go1Env:
         self._start(np.arange(self.num_envs))
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
-            # a command that came late to its stretch of steps is no success, however it is followed
+            # who starts within a stretch has its command for a part of it only: never a success
             self.state.kernels[self.state.age % self.env_cfg.command_steps > 0] = -np.inf
             self._observe_first(np.arange(self.num_envs))  # again, because the clock shows the age
         return self.observe()[0], {}
@@ -200,9 +200,12 @@ class Go1Env:
             outcome = Outcome(*(np.where(diverged, *x) for x in zip(NOTHING, outcome, strict=True)))
         terminated = diverged | outcome.fell | outcome.overload
         truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
-        log = self._log(motion, outcome)
-        log |= dict(ended_fall=outcome.fell, ended_diverged=diverged)
-        log |= dict(ended_limit=truncated, ended_power=outcome.overload)  # a limit of time
+        log = self._log(motion, outcome) | dict(
+            ended_fall=outcome.fell,
+            ended_diverged=diverged,
+            ended_limit=truncated,  # of time
+            ended_power=outcome.overload,
+        )
 
         if self.ground is not None:  # a robot that left its tile comes back on the other side
             self.qpos[:, :2] = terrain.wrap(self.qpos[:, :2], state.tile)
@@ -240,7 +243,7 @@ class Go1Env:
             torques.append(self.ctrl.copy())
             self.batch.step()
             touched |= self.contacts > 0  # each counts the contacts of its part
-            qds.append(self.qvel[:, 6:].copy())  # joints may exceed the URDF's limit
+            qds.append(self.qvel[:, 6:].copy())  # nothing limits the speed (D7)
         return Substeps(np.array(torques), np.array(qds), touched)
 
     def _outcome(self, substeps, motion, action_before):
@@ -265,7 +268,8 @@ class Go1Env:
     def _diverged(self):
         """Which robots have numbers that are not finite, (N,): their episodes end (D36).
 
-        MuJoCo resets such a simulation and records a warning. Any warning ends the episode.
+        MuJoCo records a warning, and any warning ends the episode. With latency an action would
+        reach it only later, so the action is looked at, too.
         """
         return self.batch.warning[..., 1].any(-1) | ~np.isfinite(self.state.action).all(-1)
 
@@ -335,11 +339,11 @@ class Go1Env:
     def _next_command(self, ids):
         """New commands for the robots `ids`, and a record of how they followed the old ones."""
         state = self.state
-        # Kernels count over the steps that were planned from the old command to the next one, or to
-        # the end of the episode: after a fall the rest counts as 0. Where an episode ends just when
-        # a new command came, that one has sums of 0, and is no success.
+        # A command is judged over the steps planned for it, up to the next command or to the limit
+        # of time, so what a fall cuts off counts as 0. A command that came just when an episode
+        # ended has sums of 0.
         every = self.env_cfg.command_steps
-        begun = (np.maximum(state.age[ids], 1) - 1) // every * every
+        begun = np.maximum(state.age[ids] - 1, 0) // every * every
         planned = np.minimum(every, self.env_cfg.episode_steps - begun)
         followed = state.kernels[ids] / planned[:, None]
         self.commands.record(state.command[ids], followed)

@@ -14,7 +14,7 @@ about half as many numbers as x, since the others repeat those, up to signs, or 
     right units   even @ A + odd @ B + bias
     left units    even @ A - odd @ B + bias
 
-take two products of a quarter of an ordinary layer's size, and so half as long.
+take two products, each of a quarter of an ordinary layer's size: half the time.
 
 A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array that is made
 of parts, one after the other, has a list of mirrors, one for each part. An environment has such

@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy import exp, minimum, square
 
+from energy import norm2
+
 SIGMA_VXY = 0.25  # m^2/s^2, the lab's value; the paper prints none
 SIGMA_WZ = 0.25  # rad^2/s^2, the lab's value; the paper prints none
 
@@ -86,7 +88,7 @@ SOFT_LIMIT = 0.9  # share of a joint's range, around its middle, beyond which an
 
 
 class Gait(NamedTuple):
-    """What the shaped reward looks at, beside velocity and command."""
+    """What the shaped reward looks at, beside velocity and command, at the end of a step."""
 
     v_z: np.ndarray  # (...,) [m/s] of the trunk, along its own z axis
     roll_pitch_rate: np.ndarray  # (..., 2) [rad/s]
@@ -94,8 +96,8 @@ class Gait(NamedTuple):
     height: np.ndarray  # (...,) [m] of the trunk above the ground
     q: np.ndarray  # (..., 12) [rad] of the joints
     joint_range: np.ndarray  # (2, 12) [rad] lower and upper limits of the joints
-    qdd: np.ndarray  # (..., 12) [rad/s^2] of the joints
-    torque: np.ndarray  # (..., 12) [N m] of the joints
+    qdd: np.ndarray  # (..., 12) [rad/s^2] of the joints, mean over the step
+    torque: np.ndarray  # (..., 12) [N m] of the joints, in the last physics step
     action_change: np.ndarray  # (..., 12) [-] since the last step
     landed: np.ndarray  # (..., 4) [s] how long feet that land now were in the air, see `landings`
     collisions: np.ndarray  # (...,) [-] number of thighs and calves that touch the ground
@@ -106,9 +108,6 @@ def shaped(velocity, command, gait):
 
     gait: a Gait
     """
-
-    def norm2(x):
-        return square(x).sum(-1)
 
     linear, angular = kernels(velocity, command)
     moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1

@@ -20,7 +20,7 @@ import rewards
 class Commands:
     """No commands: every robot is asked for 0. Subclasses ask for something."""
 
-    example = np.zeros(3)  # play.py asks for this, and evaluate.py for parts of it
+    example = np.zeros(3)  # play.py gives this command, evaluate.py 0, 1/10, ... 1 of it
     low = high = np.zeros(3)  # the ends of the viewer's sliders
     learns = False  # whether `record` does anything
     weights = np.zeros(0)  # what was learned
@@ -37,7 +37,7 @@ class Commands:
 
 
 class Range(Commands):
-    """Commands that are drawn uniformly, from 0 to a greatest one, which may be negative."""
+    """Commands that are drawn uniformly between 0 and the one that is farthest from it."""
 
     def __init__(self, *greatest):
         """greatest: v_x, v_y [m/s] and yaw rate [rad/s] of the command that is farthest from 0."""
@@ -91,7 +91,7 @@ class Grid(Commands):
     def start(self):
         """Set the weights to 1 within +- START and to 0 elsewhere."""
         x, yaw = (np.arange(self.low[i], self.high[i], self.CELL) + self.CELL / 2 for i in (0, 2))
-        self.weights[:] = (np.abs(x)[:, None] < self.START) * (np.abs(yaw) < self.START)
+        self.weights[:] = (np.abs(x)[:, None] < self.START) & (np.abs(yaw) < self.START)
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots.
@@ -204,7 +204,7 @@ class Config:
     physics_steps: int = 4  # [lab code] physics steps in a control step, which makes 50 Hz
     clock_hz: float = 3.0  # [ours] Hz, frequency of the timing reference that the policy sees
     action_limit: float = 10.0  # [lab code] the policy's actions are clipped to +- this
-    velocity_frame: Literal["heading", "body"] = "heading"  # [ours] of the velocity rewarded (D25)
+    velocity_frame: Literal["heading", "body"] = "heading"  # [ours] level, or the trunk's own (D25)
     clip: Literal["power", "torque"] = "power"  # [ours] what Eq. (9) clips at -3 (D3)
     noise: float = 1.0  # [lab code] factor on the noise of the observation
     roughness: tuple = (0.0, 0.0)  # [IV-A] m, from lowest to highest point: range over the tiles

@@ -26,10 +26,9 @@ def fade(t):
 def perlin(x, y, gradients):
     """Perlin noise (...,) [-]: planes through 0 at a cell's four corners, faded into each other.
 
-    x, y:      (...,) [cells] where to take the noise; it is 0 at the lattice points, where both are
-               whole numbers
-    gradients: (n, m, 2) slopes of the planes of the lattice points, repeated with period n in x and
-        m in y
+    x, y:      (...,) [cells] where to take the noise, along the first and the second axis of
+               gradients; it is 0 at the lattice points, where both are whole numbers
+    gradients: (n, m, 2) slopes of the planes of the lattice points, repeated with periods n and m
     """
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
     u, v = x - i, y - j
