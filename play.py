@@ -40,7 +40,7 @@ import evaluate
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.cli import SEED, Parser, Refused, misfit, program
+from runtime.cli import SEED, Parser, Refused, is_place_for, misfit, program
 
 LIMITS = dict(
     port={"at least": 0, "at most": 65535},
@@ -147,7 +147,7 @@ def main(argv):
         parser.error("--web shows a run and --gif draws it: give one of them")
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
-    if args.gif and not (args.gif.suffix.lower() == ".gif" and args.gif.resolve().parent.is_dir()):
+    if args.gif and not is_place_for(args.gif, ".gif"):
         raise Refused(f"--gif is {args.gif}: it must end in .gif, and its folder must exist")
     loaded = [run_folder.load_policy(run / "policy.npz") for run in args.runs]
     policies, configs = zip(*loaded, strict=True)

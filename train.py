@@ -34,7 +34,16 @@ def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
     name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
+    if options.out == "":  # a script's variable that is not set
+        raise Refused("--out is empty: name a folder, or leave it out")
     return Path(options.out or f"runs/{name}")
+
+
+def refuse_used(folder):
+    """Refuse a folder that already holds a run, unless it is to go on."""
+    if found := [name for name in run_folder.FILES if (folder / name).exists()]:
+        again = "--resume it, or " * ("checkpoint.npz" in found)
+        raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
 
 
 def resumed_settings(folder, given):
@@ -69,13 +78,14 @@ class Keeper:
     """Keeps the last complete iteration of a run until it is written.
 
     A file that cannot be written now, since the disk is full or another program has it open, is
-    written with the next one.
+    written with the next one. A folder that somebody moved away is made again.
     """
 
     def __init__(self, folder, envs, cfg, log):
         self.folder, self.envs, self.cfg, self.log = folder, envs, cfg, log
         self.newest = None  # (State, what a checkpoint stores of each env), if not written yet
-        self.record = None  # writes config.json, if that is not written yet
+        self.record = None  # writes config.json, once there is something to keep
+        self.recorded = False  # whether it did
         self.failed = False  # whether something could not be written at the last try
 
     def keep(self, state):
@@ -84,9 +94,10 @@ class Keeper:
 
     def write(self):
         """Write what every iteration adds to: the log, and first of all config.json."""
-        if self.record:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if self.record and not (self.recorded and (self.folder / "config.json").exists()):
             self.record()
-            self.record = None
+            self.recorded = True
         self.log.write()
 
     def save(self):
@@ -163,7 +174,8 @@ def train(folder, envs, cfg, options, typed):
         for state, row in algorithm(*envs, cfg, start):
             if stop is None:  # the first iteration is done: from now on there is something to keep
                 stop = StopRequest()
-                about = env_cfg, cfg, typed, jax_setup.numerics(), options.resume
+                earlier = run_folder.starts(folder) if options.resume else []
+                about = env_cfg, cfg, typed, jax_setup.numerics(), earlier
                 keeper.record = partial(run_folder.save_config, folder, *about)
             row = {name: float(x) for name, x in row.items()}
             steps = state.iteration * cfg.num_steps * cfg.num_envs
@@ -184,9 +196,8 @@ def prepare(options, given_env, given_learner):
     if options.resume:
         given = given_env | given_learner
         env_cfg, cfg, jax_threads, began = resumed_settings(folder, given)
-    elif found := [name for name in run_folder.FILES if (folder / name).exists()]:
-        again = "--resume it, or " * ("checkpoint.npz" in found)
-        raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
+    else:
+        refuse_used(folder)
     check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
     numerics = jax_setup.numerics()  # refuses before anything is written if there is no device
@@ -207,6 +218,8 @@ def main(argv):
     folder, env_cfg, cfg = prepare(options, *given)
     envs = make_envs(env_cfg, cfg, options.threads)
     with run_folder.lock(folder):
+        if not options.resume:  # another process may have trained here meanwhile
+            refuse_used(folder)
         stopped = train(folder, envs, cfg, options, typed)
     if stopped:
         again = shlex.join([*typed, *([] if options.resume else ["--resume"])])

@@ -21,7 +21,7 @@ import go1
 import tasks
 from play import names_of
 from runtime import run_folder
-from runtime.cli import Parser, Refused, misfit, program, say
+from runtime.cli import Parser, Refused, is_place_for, misfit, program, say
 
 NUM_ROBOTS, SECONDS, SHOWN = 16, 3.0, 1.0  # SECONDS that count, SHOWN in the picture [s]
 ROWS = ("FL", "FR", "RL", "RR")  # from the top of a picture of footfalls to its bottom
@@ -67,7 +67,7 @@ def numbers(v_x, power, stands, feet):
 def draw(figure, title, stands, feet, period):
     """Draw footfalls of the first robot, and from above where its feet stand, into a SubFigure."""
     falls, above = figure.subplots(1, 2, width_ratios=(3, 1))
-    figure.suptitle(title, fontsize=9)
+    figure.suptitle(title, fontsize=9, parse_math=False)
     shown = round(SHOWN / period)
     for row, leg in enumerate(ROWS):
         i = go1.LEGS.index(leg)
@@ -95,7 +95,7 @@ def main(argv):
     args = parser.parse_args(argv)
     if line := misfit(dict(v_x=args.v_x), LIMITS):
         parser.error(line)
-    if args.out.suffix.lower() != ".png" or not args.out.parent.is_dir():
+    if not is_place_for(args.out, ".png"):
         parser.error(f"--out is {args.out}: it must end in .png, and its folder must exist")
     loaded = [evaluate.load(run, nominal=True) for run in args.runs]
     for run, (_, env_cfg) in zip(args.runs, loaded, strict=True):
@@ -110,9 +110,8 @@ def main(argv):
             walked = walk(pi, env_cfg, v_x)
             if not walked[0].size:
                 say(f"| {name} | {v_x:g} m/s | every episode ends early" + 6 * " | " + " |")
-                panel.suptitle(
-                    f"{name}, asked for {v_x:g} m/s: every episode ends early", fontsize=9
-                )
+                title = f"{name}, asked for {v_x:g} m/s: every episode ends early"
+                panel.suptitle(title, fontsize=9, parse_math=False)
                 continue
             moves, power, steps, *shares, apart = numbers(*walked)
             cells = [f"{v_x:g} m/s", f"{moves:.2f} m/s", f"{power:.0f} W", f"{steps:.1f} / s"]

@@ -55,8 +55,10 @@ def measure(pi, env_cfg, asked, friction=0.0, damping=0.0, kd=go1.KD, solimp=Non
     with mock.patch.object(go1, "KD", kd):
         played, _ = evaluate.run_episodes(pi.mean, env)
     lasted = ~played.fell
-    speeds = [played.v_x[lasted & (asked[:, 0] == v_x)].mean() for v_x in (0.5, 1.0)]
-    return played.performance.mean(), *speeds, played.power[lasted].mean(), played.fell.mean()
+    parts = [played.v_x[lasted & (asked[:, 0] == v_x)] for v_x in (0.5, 1.0)]
+    parts.append(played.power[lasted])
+    means = [x.mean() if x.size else np.nan for x in parts]  # nan: all of these fell
+    return played.performance.mean(), *means, played.fell.mean()
 
 
 @program("docs.losses")

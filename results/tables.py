@@ -71,7 +71,7 @@ def read(path):
         return []
     with run_folder.reading(path):
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        return list(csv.DictReader(io.StringIO(data.decode())))
+        return list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
 
 
 def write(path, rows):
@@ -120,20 +120,28 @@ def runs(patterns):
         place, name = path.parent, path.name
         if path.is_dir():
             place, name = path, f"{path.resolve().name}-*"  # of "." too
-        files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
-        listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
-        names = [run for run in listed if fnmatchcase(run, name) and run in episodes]
-        if not listed:
-            raise Refused(f"{path} has no runs: there is no {place / RUNS}")
-        if not names:
-            raise Refused(f"{place / RUNS} has no run {name}")
-        for run in names:
+        with run_folder.reading(place / RUNS):  # somebody may have edited it
+            for run in runs_of(place, path, name):
+                found[place.resolve(), run.name] = run
+    return list(found.values())
+
+
+def runs_of(place, path, name):
+    """Yields the Runs in a folder of tables that fit a pattern, `name`; path: what was asked for"""
+    files = (place / file for file in (RUNS, METRICS, EPISODES, SPEED, REACHED))
+    listed, metrics, episodes, *others = (grouped(read(file), "run") for file in files)
+    if not listed:
+        raise Refused(f"{path} has no runs: there is no {place / RUNS}, or it is empty")
+    names = [run for run in listed if run == name or fnmatchcase(run, name)]
+    if not any(run in episodes for run in names):
+        raise Refused(f"{place / RUNS} has no run {name}" + " with episodes" * bool(names))
+    for run in names:
+        if run in episodes:
             (row,) = listed[run]
             played = grouped(episodes[run], "policy")
             parts = [metrics.get(run, []), played["pi"], played.get("prime", [])]
             parts += [table.get(run, []) for table in others]
-            found[place.resolve(), run] = Run(run, settings_of(row), row, *map(columns, parts))
-    return list(found.values())
+            yield Run(run, settings_of(row), row, *map(columns, parts))
 
 
 def commits(row):
@@ -395,7 +403,7 @@ def add(folders, results=RESULTS, num_episodes=None):
 
 def learned(folder):
     """What the policies of a run folder say of themselves and of their world, and the rows of its
-    metrics.csv up to their iteration. Later ones are of a policy that was not saved.
+    metrics.csv, as numbers, up to their iteration. Later ones are of a policy that was not saved.
     """
     files = [folder / POLICIES["pi"]]
     files += [path for path in [folder / POLICIES["prime"]] if path.exists()]
@@ -411,7 +419,9 @@ def learned(folder):
         last = about.get("iteration", iterations[-1])
     if last not in iterations:
         raise Refused(f"{path} has no row of iteration {last}, of which policy.npz is")
-    return about, rows[: iterations.index(last) + 1]
+    with run_folder.reading(path):  # a copy may have half a row at its end
+        rows = rows[: iterations.index(last) + 1]
+        return about, [{name: float(x) for name, x in row.items()} for row in rows]
 
 
 def run_row(folder, done):
@@ -421,6 +431,7 @@ def run_row(folder, done):
     """
     with run_folder.reading(folder / "config.json"):
         config = json.loads((folder / "config.json").read_text())
+        run_folder.read_config(config["env"])  # it has all settings
         for start in config["starts"]:
             start["command"] = without_out(start["command"])
         first, *resumed = config["starts"]
@@ -448,8 +459,8 @@ def without_out(command):
 def thinned(name, rows):
     """Yields every tenth row and the last one of the metrics of a run."""
     for row in rows:
-        if int(row["iteration"]) % 10 == 0 or row is rows[-1]:
-            yield dict(run=name) | {column: float(x) for column, x in row.items()}
+        if row["iteration"] % 10 == 0 or row is rows[-1]:
+            yield dict(run=name) | row
 
 
 def reached_rows(folder, iteration):

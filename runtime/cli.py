@@ -4,6 +4,7 @@ import argparse
 import errno
 import functools
 import os
+import re
 import signal
 import sys
 import threading
@@ -30,6 +31,8 @@ class Parser(argparse.ArgumentParser):
         form = argparse.RawDescriptionHelpFormatter
         about = dict(prog=prog, description=description, formatter_class=form)
         super().__init__(**about, allow_abbrev=False, **options)
+        # argparse of Python 3.11 takes -1e-2 and -1. for flags
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
 
     def error(self, message):
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
@@ -69,6 +72,11 @@ def misfit(values, limits):
                 needs = " and ".join(f"{word} {end}" for word, end in ends.items())
                 return f"--{name.replace('_', '-')} is {number}: it must be {needs}"
     return None
+
+
+def is_place_for(path, suffix):
+    """Whether a file of this kind can be written there; path: a Path that somebody gave."""
+    return path.suffix.lower() == suffix and path.resolve().parent.is_dir() and not path.is_dir()
 
 
 def tuples(settings):

@@ -61,8 +61,8 @@ LIMITS = dict(
     latency={"at least": 0, "at most": 1000},
     max_power={"above": 0},  # inf: no limit
     # the learner
-    num_epochs=COUNT,
-    num_minibatches=COUNT,
+    num_epochs=COUNT | {"at most": 10**4},  # JAX counts minibatches in 32 bits
+    num_minibatches=COUNT | {"at most": 10**5},
     lr={"at least": 1e-9, "at most": 1},
     target_kl=FACTOR_OR_0,  # 0: lr stays
     gamma=SHARE,
@@ -76,7 +76,7 @@ LIMITS = dict(
     hidden_estimator=COUNT,
     lam=FACTOR_OR_0,
     seed=SEED,
-    num_envs=COUNT,
+    num_envs=COUNT | {"at most": 2**31 - 1},  # what MuJoCo's batch takes
     iterations=COUNT,
     num_steps=COUNT,
     lr_alpha=FACTOR_OR_0,  # 0: alpha stays
@@ -161,6 +161,9 @@ def check(options, env_cfg, cfg):
         what = f"the trunk has {trunk:g} kg, so it must be above -{trunk:g}"
         raise Refused(f"--payload is {env_cfg.payload[0]}: {what}")
     period = env_cfg.timestep * env_cfg.physics_steps
+    if period > 0.5:
+        what = f"with a timestep of {env_cfg.timestep:g} s that is a control step of {period:g} s"
+        raise Refused(f"--physics-steps is {env_cfg.physics_steps}: {what}, of at most 0.5 s")
     if env_cfg.clock_hz * period > 0.5:
         steps = f"control steps of {period:g} s, --timestep times --physics-steps,"
         what = f"{steps} show a clock of at most {0.5 / period:g} Hz"

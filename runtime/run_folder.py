@@ -45,6 +45,8 @@ def reading(path):
     """The one place where a file that cannot be read becomes one line that names it."""
     try:
         yield
+    except Refused:  # by one who reads within
+        raise
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
         missing = isinstance(error, FileNotFoundError | NotADirectoryError)
         what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
@@ -123,15 +125,14 @@ def cpu_model():
 def starts(folder):
     """The entries in the config.json of a run folder, one for each start."""
     with reading(path := folder / "config.json"):
-        return json.loads(path.read_text())["starts"]
+        return [*json.loads(path.read_text())["starts"]]
 
 
-def save_config(folder, env_cfg, cfg, typed, numerics, resume=False):
+def save_config(folder, env_cfg, cfg, typed, numerics, earlier=()):
     """Write config.json: both Configs, and one more entry about this start.
 
-    typed: words of the command line; numerics: of `jax_setup`; resume: keep earlier starts' entries
+    typed: words of the command line; numerics: of `jax_setup`; earlier: entries of earlier starts
     """
-    earlier = starts(folder) if resume else []
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
     about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)

@@ -287,9 +287,10 @@ def test_a_senseless_number_is_one_line(capsys, given):
     assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
 
 
-@pytest.mark.parametrize("name", ["a.mp4", "a", "missing/a.gif"])
+@pytest.mark.parametrize("name", ["a.mp4", "a", "missing/a.gif", "folder.gif"])
 def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(capsys, tmp_path, name):
     """Drawing takes a while, and nothing but a GIF is written, whatever the name says."""
+    (tmp_path / "folder.gif").mkdir()
     says = error_of(capsys, play.main, "results/flat", "--gif", tmp_path / name)
     assert "must end in .gif, and its folder must exist" in says
 

@@ -734,6 +734,12 @@ def two_worlds(folder):
     rewrite(folder / "policy_prime.npz", noise=0.5)
 
 
+def half_a_row(folder):
+    """As a copy of a folder may have it in which something trains."""
+    text = (folder / "metrics.csv").read_text()
+    (folder / "metrics.csv").write_text(text[:-8])
+
+
 TOLD_APART = {
     "pi and pi' have another iteration": two_ages,
     "pi and pi' have another noise": two_worlds,
@@ -748,6 +754,8 @@ TOLD_APART = {
     ),
     "metrics.csv does not exist": lambda x: (x / "metrics.csv").unlink(),
     "metrics.csv is damaged": lambda x: (x / "metrics.csv").write_text("iteration,steps\n"),
+    "metrics.csv is damaged, or of another program: TypeError": half_a_row,
+    "config.json is damaged": lambda x: change_config(x, "env", clock_hz=None, other=1),
 }
 
 
@@ -1072,6 +1080,27 @@ def test_a_damaged_table_is_one_line(tmp_path, capsys):
     shutil.copy(RESULTS / "flat" / "runs.csv", tmp_path)
     (tmp_path / "episodes.csv.gz").write_bytes(gzip.compress(b"run,fell\na,1\n")[:-9])
     assert "episodes.csv.gz is damaged" in error_of(capsys, main, "table", tmp_path / "flat-*")
+    (tmp_path / "episodes.csv.gz").unlink()
+    said = error_of(capsys, main, "table", tmp_path / "flat-*")
+    assert "runs.csv has no run flat-* with episodes" in said
+
+
+def test_a_table_that_somebody_edited(tmp_path, capsys):
+    """A spreadsheet may put a mark before the first letter. Rows that are there twice, or without a
+    column that it takes, are one line.
+    """
+    place = RESULTS / "flat"
+    for name in ("runs.csv", "episodes.csv.gz", "metrics.csv.gz"):
+        shutil.copy(place / name, tmp_path)
+    head, *rows = (place / "runs.csv").read_text().splitlines()
+    row = next(row for row in rows if row.startswith("flat-ppo-lam0-seed10,"))
+    (tmp_path / "runs.csv").write_text("\ufeff" + f"{head}\n{row}\n", encoding="utf-8")
+    assert main(["summary", str(tmp_path / "flat-ppo-lam0-*")]) == 0
+    capsys.readouterr()
+    for text in (f"{head}\n{row}\n{row}\n", f"{head}\n{row}\n".replace(",", ";")):
+        (tmp_path / "runs.csv").write_text(text)
+        said = error_of(capsys, main, "summary", tmp_path / "flat-ppo-lam0-*")
+        assert "runs.csv is damaged" in said
 
 
 @pytest.mark.parametrize("argv", [["fig7"], ["fig2"], ["claims", "a"], ["fig2", "a", "--moon"]])

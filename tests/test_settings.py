@@ -158,6 +158,7 @@ SENSELESS = """
 --timestep nan
 --timestep 0.03
 --physics-steps 0
+--physics-steps 101 --clock-hz 0
 --clock-hz nan
 --clock-hz -1
 --clock-hz 50
@@ -187,10 +188,13 @@ SENSELESS = """
 --motor-strength 1 inf
 --motor-offset 0 nan
 --gravity -10 0
+--gravity -1e1 0.
 --latency -1
 --max-power 0
 --max-power nan
+--max-power -inf
 --num-epochs 0
+--num-epochs 1000000000000
 --num-minibatches 0
 --lr 0 --target-kl 0
 --lr inf --target-kl 0
@@ -219,6 +223,7 @@ SENSELESS = """
 --seed 4294967296
 --num-envs 0
 --num-envs -4
+--num-envs 5000000000
 --iterations 0
 --iterations -1
 --num-steps 0
@@ -282,6 +287,7 @@ SOUND = """
 --friction 2 5
 --payload -5 20
 --com -0.1 -0.1
+--com -1. -1e-2
 --motor-strength 0.001 10
 --motor-offset -0.5 -0.2
 --gravity -9 9

@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -411,6 +412,42 @@ def test_a_config_that_is_in_use_is_written_later(tmp_path, capsys, monkeypatch)
     (line,) = capsys.readouterr().err.splitlines()
     assert "tries again" in line and not left and len(rows(tmp_path)) == 4
     assert len(json.loads((tmp_path / "config.json").read_text())["starts"]) == 1
+
+
+def test_a_run_whose_folder_is_moved_away_makes_it_again(tmp_path, monkeypatch):
+    """Also if that run goes on. Rows that were moved with it are not in the new log."""
+    real, moved = metrics.Log.add, []
+
+    def add(log, iteration, row):
+        if iteration in (5, 9):
+            moved.append(log.path.parent.rename(tmp_path / f"moved{iteration}"))
+        real(log, iteration, row)
+
+    monkeypatch.setattr(metrics.Log, "add", add)
+    for length in (7, 12):
+        again = ["--resume"] if moved else []
+        run("--iterations", length, "--checkpoint-every", 2, "--out", tmp_path / "run", *again)
+        assert run_folder.load_policy(tmp_path / "run/policy.npz")[0].about["iteration"] == length
+    assert len(run_folder.starts(tmp_path / "run")) == 2
+    assert metrics.read(tmp_path / "moved5")["iteration"].tolist() == [1, 2, 3, 4]
+    assert metrics.read(tmp_path / "run")["iteration"].tolist() == [9, 10, 11, 12]
+
+
+def test_who_trained_while_another_got_ready_keeps_its_run(finished, tmp_path, capsys, monkeypatch):
+    """The folder is free when the second one looks, and not when it has its environments."""
+    folder, real = tmp_path / "new", train.make_envs
+
+    def make_envs(*given):
+        shutil.copytree(finished, folder)
+        return real(*given)
+
+    monkeypatch.setattr(train, "make_envs", make_envs)
+    assert "already holds" in error_of(capsys, train.main, *FLAGS, "--out", folder)
+    assert contents(folder) == contents(finished)
+
+
+def test_an_empty_out_is_one_line(capsys):
+    assert "--out is empty" in error_of(capsys, train.main, "--out", "")
 
 
 def test_whatever_ends_a_run_what_it_has_learned_is_saved(finished, tmp_path, monkeypatch):
