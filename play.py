@@ -108,7 +108,7 @@ def draw(args, policies, envs, asked):
     # of several runs, pictures that last less than 60 ms would make a large file
     size, every = (viewer.SIZE, 1) if alone else (viewer.PANEL, math.ceil(6 / hundredths))
     films = [
-        viewer.film(env, play(env, pi, args.seed), args.seconds, size, every)
+        viewer.film(env, play(env, pi, args.seed), args.seconds or 1.0, size, every)
         for env, pi in zip(envs, policies, strict=True)
     ]
     panels, means = zip(*films, strict=True)
@@ -134,9 +134,9 @@ def main(argv):
     add("runs", metavar="RUN", nargs="+", type=Path, help="run folder with a policy.npz")
     add("--gif", metavar="FILE", type=Path, help="draw the runs into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
-    add("--port", type=int, default=0, help="of --web (default: free, from 8080 on)")
+    add("--port", type=int, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")
-    add("--seconds", type=float, default=1.0, help="of the robot's time in a GIF (default: 1)")
+    add("--seconds", type=float, help="of the robot's time in a GIF (default: 1)")
     three = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
     add("--command", **three, help="m/s, m/s, rad/s (default: the example of the first run's task)")
     add("--slow", type=float, help="times slower than real, a GIF at least 1 (default: 1, a GIF 4)")
@@ -145,6 +145,9 @@ def main(argv):
         parser.error(line)
     if args.web and args.gif:
         parser.error("--web shows a run and --gif draws it: give one of them")
+    for flag, given, needs in (("seconds", args.gif, "gif"), ("port", args.web, "web")):
+        if vars(args)[flag] is not None and not given:
+            parser.error(f"--{flag} is of --{needs}: it does nothing without")
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
     if args.gif and not is_place_for(args.gif, ".gif"):
@@ -162,7 +165,7 @@ def main(argv):
         raise Refused(f"these runs do not go side by side: {what}")
     env, steps = envs[0], play(envs[0], policies[0], args.seed)
     if args.web:
-        viewer.browser(env, steps, asked, args.port, args.slow or 1.0)
+        viewer.browser(env, steps, asked, args.port or 0, args.slow or 1.0)
     elif args.gif:
         draw(args, policies, envs, asked)
     else:

@@ -13,9 +13,9 @@ from operator import ge, gt, le, lt
 
 from go1 import OtherRobot
 
-COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # which nan never is
+COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # all are False for nan
 # limits of numbers, as `misfit` takes them
-COUNT = {"at least": 1, "at most": 10**12}  # more would not fit into arrays of whole numbers
+COUNT = {"at least": 1, "at most": 10**12}  # a float still counts these one by one
 SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits, so 2**32 would draw what 0 draws
 NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 
@@ -49,8 +49,12 @@ def say(line, stream=None, end="\n"):
         print(line, file=stream, end=end, flush=True)
     except OSError as error:
         if error.errno in NOBODY_LISTENS:
-            # what is left in its buffer would fail again when Python ends
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            silence(stream)
+
+
+def silence(stream):
+    """Let a stream write into nothing: what is in its buffer would fail again when Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def warn(line):
@@ -112,8 +116,7 @@ def program(name):
             except KeyboardInterrupt:
                 return 130
             except BrokenPipeError:
-                # what is left in its buffer would fail again when Python ends
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                silence(sys.stdout)
                 return 1
             except Exception as error:
                 if (line := complaint(error)) is None:

@@ -3,7 +3,7 @@
 Columns of metrics.csv, means over the robots and steps of an iteration where nothing else is said:
 
 steps                          [-] control steps of all robots so far
-J, gap, alpha, task_share      of lines 4 to 13: J(pi), J(pi) - J(pi'), and std(alpha A_r) over
+J, gap, alpha, task_share      of Algorithm 1: J(pi), J(pi) - J(pi'), alpha, and std(alpha A_r) over
                                std(alpha A_r) + std(A_f)
 reward, cost                   r [-] and f [W], or [-] for Eq. (11)
 task_reward                    [-] what Eqs. (5) to (8) would pay, where reward is the shaped one
@@ -12,7 +12,8 @@ power                          [W] Eq. (9) without its bonus
 command_area                   mean weight of the grid of commands, 1 if it has grown all over
 ended_fall, ended_diverged,    [1/step] episodes that end by a fall, by numbers that are not
 ended_limit, ended_power       finite, by the limit of time, and by that of power
-value_loss, estimator_loss     of critic and estimator; kl and std: how far pi moved, and its noise
+value_loss, estimator_loss     of critic and estimator
+kl, std                        how far pi moved in this iteration, and its exploration noise
 lr, skipped                    Adam's step size, and updates skipped so far, as not finite
 prime_...                      the same of pi'
 time_s, steps_per_s            since this process began: seconds, and control steps a second

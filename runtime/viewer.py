@@ -22,7 +22,7 @@ from runtime.cli import Refused
 KEYS = {265: (0.1, 0, 0), 264: (-0.1, 0, 0), 263: (0, 0, 0.1), 262: (0, 0, -0.1)}
 BACKSPACE = 259
 SIZE = (480, 270)  # pixels of a GIF
-PANEL = (320, 180)  # and of each run in a GIF of several, of which three are as wide as a README
+PANEL = (320, 180)  # pixels of each run in a GIF of several; three fill a README's width
 AROUND = 7  # tiles of ground that are drawn in x and in y; the robot is on the middle one
 ORANGE, BLUE = (0.95, 0.35, 0.0, 1.0), (0.1, 0.3, 0.9, 1.0)
 COLOURS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)  # of the legs
@@ -64,7 +64,7 @@ def asked(env, command):
     """What env's robot is asked to do, in words, or "" if its task asks for nothing."""
     x, y, yaw = command
     asks = env.task.commands().example.any()
-    return f"asked {x:.1f} m/s, {y:.1f} m/s aside, {yaw:.1f} rad/s" if asks else ""
+    return f"asked {x:z.3g} m/s, {y:z.3g} m/s aside, {yaw:z.3g} rad/s" if asks else ""
 
 
 def did(log):
@@ -93,7 +93,8 @@ def window(env, steps, command, slow=1.0):
     """Show steps (an iterator of `play`) in the viewer, `slow` times slower, until it is closed."""
 
     def on_key(key):
-        command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
+        if env.task.commands().example.any():  # else it is never asked for anything
+            command[:] = 0.0 if key == BACKSPACE else command + KEYS.get(key, 0.0)
 
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform == "linux" and not display:  # the viewer would end the process

@@ -131,7 +131,7 @@ def test_panels_say_who_does_what_when_asked_for_the_same(runs, monkeypatch):
     ((_, _, captions, foot, _),) = saved
     assert asked == [[0.5, -0.25, 2]] * 2
     assert captions == [["flat\nv_x 1.0 m/s   100 W"], ["rough\nv_x 2.0 m/s   100 W"]]
-    assert foot == "asked 0.5 m/s, -0.2 m/s aside, 2.0 rad/s   4 times slower"
+    assert foot == "asked 0.5 m/s, -0.25 m/s aside, 2 rad/s   4 times slower"
 
 
 def test_a_caption_stands_in_its_panel(tmp_path):
@@ -287,6 +287,15 @@ def test_a_senseless_number_is_one_line(capsys, given):
     assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
 
 
+@pytest.mark.parametrize("given", ["--seconds 2", "--port 8123", "--web --seconds 2"])
+def test_a_flag_that_would_be_ignored_is_one_line(capsys, given):
+    """Before anything is read: there is no such run."""
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["nowhere", *given.split()])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "does nothing without" in line
+
+
 @pytest.mark.parametrize("name", ["a.mp4", "a", "missing/a.gif", "folder.gif"])
 def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(capsys, tmp_path, name):
     """Drawing takes a while, and nothing but a GIF is written, whatever the name says."""
@@ -368,7 +377,7 @@ def test_a_robot_that_is_watched_starts_in_the_nominal_pose(env):
     assert env.qpos[0, 7:].tolist() == NOMINAL.tolist() and not env.qvel.any()
 
 
-@pytest.mark.parametrize("way", ["", "--web", "--gif a.gif"])
+@pytest.mark.parametrize("way", ["", "--web --port 8123", "--gif a.gif --seconds 2"])
 @pytest.mark.parametrize("slow", [None, 3.0])
 def test_seed_and_pace_reach_the_window_the_browser_and_the_gif(runs, monkeypatch, way, slow):
     """A GIF is four times slower without a word, the others in real time."""
@@ -382,7 +391,7 @@ def test_seed_and_pace_reach_the_window_the_browser_and_the_gif(runs, monkeypatc
     for name in ("window", "browser", "film"):
         monkeypatch.setattr(viewer, name, show)
     monkeypatch.setattr(viewer, "save_gif", lambda *given: seen.append(given[-1]))
-    argv = [str(runs["flat"]), *way.split(), "--seed", "7", "--port", "8123", "--seconds", "2"]
+    argv = [str(runs["flat"]), *way.split(), "--seed", "7"]
     assert play.main([*argv, *(["--slow", str(slow)] if slow else [])]) == 0
     _, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
     env = play.make_env(env_cfg, np.zeros(3))
@@ -451,6 +460,13 @@ def test_keys_set_the_command(monkeypatch, env, keys, command):
     asked = np.array([0.5, 0, 0.2])
     watch(monkeypatch, env, keys, asked)
     assert asked == pytest.approx(command)
+
+
+def test_keys_ask_nothing_of_a_robot_that_has_no_commands(monkeypatch):
+    env = play.make_env(tasks.task_config("velocity"), asked := np.zeros(3))
+    env.reset(0)
+    watch(monkeypatch, env, [glfw.KEY_UP, glfw.KEY_LEFT], asked)
+    assert not asked.any()
 
 
 def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch, env):
