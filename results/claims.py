@@ -1,9 +1,10 @@
 """The paper's claims and the promise of Eq. (3), by the rules of audit/rules.md.
 
 A claim compares two kinds of runs by one number of each seed, from kept episodes. Runs count whose
-seed is one of the rules, and those of one task and length must be of one commit.
+seed is one of the rules, and those of one task and length must be of one learner.
 """
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ from results.tables import MARGINS, PPO, by_group, score_of, task_of
 from runtime.cli import Refused
 
 SEEDS = range(10, 18)  # of audit/rules.md; runs of others were seen before it was written
+# commits whose learner has the same bits, so that one comparison may be of all of them, by the
+# rules' section 6
+ONE_LEARNER = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e"
 TASKS = "flat", "rough", "velocity", "curriculum"
 RATIOS = "power", "J/m"
 HEADINGS = dict(performance="score", peak="peak [m/s]")  # of the column with the score
@@ -23,8 +27,7 @@ OTHERS = [ppo for ppo in PPO if ppo not in ("PPO(0)", "PPO(0.005)")]  # these tw
 ALL, EVERY = "", "every command"  # those of an evaluation together, or each by itself
 BOX, FAST, TURNING = "start box", "high v_x", "high yaw rate"  # of curriculum, as in `asked`
 SHAPED, SMOOTH = "PPO(0) shaped", "EIPO smooth"
-# the number in audit/rules.md, the task, the statistic, the commands, which may be v_x from ... to
-# ... [m/s], left, right, what is claimed
+# number in audit/rules.md, task, statistic, commands (or v_x from, to [m/s]), left, right, claim
 CLAIMS = [
     (1, "flat", "performance", ALL, "EIPO", "PPO(0.005)", ">"),
     (2, "flat", "performance", ALL, "EIPO", "PPO(0)", ">"),
@@ -93,21 +96,21 @@ def counted(results=tables.RESULTS):
     """The runs that count, by group and kind, in which "pi' of EIPO" is a kind, too. Of the groups
     of a task the one with the longest runs comes first.
 
-    Refused if those of a group are of several commits or of unknown or changed source, or if there
+    Refused if those of a group are of several learners or of unknown or changed source, or if there
     are none.
     """
     found = {}
     for place in (results / task for task in TASKS):
         runs = tables.runs([place / "*"]) if (place / tables.RUNS).exists() else []
-        # "new-..." are runs of another commit that do not replace those of their kind yet
+        # "new-..." are runs of another learner that do not replace those of their kind yet
         runs = [run for run in runs if run.name[:4] != "new-" and run.settings["seed"] in SEEDS]
         runs.sort(key=lambda run: -run.settings["iterations"])
         found |= by_group(runs)
     for kinds in found.values():
-        commits = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
+        commits = tables.commits(kinds)
         unsure = [x for x in commits if x == "unknown" or x.endswith("+")]  # one may be several
-        if len(commits) > 1 or unsure:
-            what = "a comparison is of one commit, known and unchanged, and not of the commits"
+        if len({ONE_LEARNER if x[:7] in ONE_LEARNER else x for x in commits}) > 1 or unsure:
+            what = "a comparison is of one learner, known and unchanged, and not of the commits"
             raise Refused(f"{what}: {', '.join(sorted(commits))}")
     if not found:
         raise Refused(f"{results} has no run with a seed from {SEEDS[0]} to {SEEDS[-1]}")
@@ -215,7 +218,7 @@ def at_every_command(arms, name, claimed):
 
 
 def claim_lines(groups):
-    """Yields the claims, and the promise, that are tested as rows of Markdown; groups: `counted`"""
+    """Yields the claims that are tested, and the promise, as rows of Markdown; groups: `counted`"""
     yield "| no. | what | claimed | seeds | means | difference [95 %] | verdict |"
     yield "|---" * 7 + "|"
     for group, kinds in groups.items():
@@ -223,7 +226,7 @@ def claim_lines(groups):
 
 
 def group_lines(group, kinds):
-    """Those of one group, without the head of the table."""
+    """Yields the rows of one group."""
     task = task_of(group)
     claims = [claim for claim in CLAIMS if claim[1] == task]
     for number, _, name, commands, left, right, claimed in [*claims, *promise(task)]:
@@ -257,9 +260,13 @@ def shown(compared, name):
     return means, f"{center} [{low}, {high}]"
 
 
-def per_metre(mean):
-    """Energy per metre of `tables.means` as text."""
-    return f"{mean['J/m']:.0f} J/m" if mean["J/m"] < np.inf else "stands"
+def per_metre(each):
+    """Energy per metre of an arm as text; each: its `tables.means`, of each run"""
+    walking = each["J/m"] < np.inf
+    if walking.all():
+        return f"{each['J/m'].mean():.0f} J/m"
+    n = int((~walking).sum())
+    return f"{n} of {len(walking)} stand{'s' * (n == 1)}" if walking.any() else "stands"
 
 
 def summary(runs):
@@ -268,15 +275,15 @@ def summary(runs):
         yield f"| {group} | {HEADINGS[score_of(group)]} | power | energy | fell | seeds |"
         yield "|---" * 6 + "|"
         for kind, arm in kinds.items():
-            _, mean = tables.means(arm)
-            cells = [f"{mean[score_of(group)]:.2f}", f"{mean['power']:.0f} W", per_metre(mean)]
+            each, mean = tables.means(arm)
+            cells = [f"{mean[score_of(group)]:.2f}", f"{mean['power']:.0f} W", per_metre(each)]
             yield f"| {kind} | {' | '.join(cells)} | {100 * mean['fell']:.1f} % | {len(arm)} |"
         yield ""
 
 
 def table(runs):
     """Yields a line of Markdown for each kind of run, from kept episodes: means over seeds, and the
-    score and the last alpha of each. After EIPO from its usual lambda_0 comes its pi'. On
+    score and the last alpha of each. After EIPO comes its pi' where it is another one. On
     curriculum there are two tables more, of the commands of `tables.by_region`.
     """
     for group, kinds in tables.by_region(by_group(runs)).items():
@@ -284,13 +291,14 @@ def table(runs):
         yield f"| {' | '.join((group, HEADINGS[score_of(group)], *names))} |"
         yield "|---" * 8 + "|"
         for kind, arm in tables.with_primes(kinds).items():
-            if kind.startswith("pi' of EIPO "):  # the same as without the lambda_0, if seeds are
+            # pi' knows no energy, so from any lambda_0 it is the same, unless both share a grid
+            if task_of(group) != "curriculum" and re.fullmatch("pi' of EIPO from [^,]+", kind):
                 continue
             each, mean = tables.means(arm)
             scores = each[score_of(group)]
             cells = [kind, f"{scores.mean():.3f}", f"{mean['power']:.0f} W"]
             cells += [f"{100 * mean[x]:.1f} %" for x in ("fell", "fell_nominal")]
-            cells += [per_metre(mean)]
+            cells += [per_metre(each)]
             alphas = [run.metrics["alpha"][-1] for run in arm] if kind.startswith("EIPO") else []
             cells += [", ".join(f"{x:.0f}" for x in alphas)]
             yield f"| {' | '.join(cells)} | {', '.join(f'{x:.3f}' for x in scores)} |"

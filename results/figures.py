@@ -35,7 +35,7 @@ LABELS = dict(
 
 
 def style(name):
-    """Color and marker of a kind of run in every figure but that of `weights`.
+    """Colour and marker of a kind of run in every figure but that of `weights`.
 
     EIPO is blue, PPO yellow to brown by lambda, in five shades that one can tell apart: of 0, up to
     0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker. Lines of runs with other
@@ -280,8 +280,8 @@ def table1(runs):
 def tradeoff(runs):
     """Power over the score, a small dot for each run and a large one for each kind.
 
-    Hollow dots are the pi_prime of the same runs. The score is task performance, on velocity the
-    peak.
+    Hollow dots are the pi_prime of the same runs, and dashed ones have other settings. The score is
+    task performance, on velocity the peak.
     """
     rows = []
     groups = by_group(runs)
@@ -292,7 +292,7 @@ def tradeoff(runs):
         score = score_of(group)
         for name, arm in tables.with_primes(kinds).items():
             look = style(name.removeprefix("pi' of "))
-            look["edgecolors"], look["linestyle"] = look.pop("color"), "-"
+            look["edgecolors"] = look.pop("color")
             look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
             each, _ = tables.means(arm)
             x, y = each[score], each["power"]
@@ -311,7 +311,7 @@ def tradeoff(runs):
 
 
 def alpha(runs):
-    """alpha over iterations, a line for each run of EIPO, dashed if of another kind than the first.
+    """alpha over iterations, a line for each run of EIPO, dashed for each kind in another way.
     Dotted lines are 1 / lambda of each kind of PPO, with what it scores and draws: at such an alpha
     pi has the same objective.
     """
@@ -320,7 +320,7 @@ def alpha(runs):
     figure = Figure(figsize=(4.5 * len(groups), 3.8), layout="constrained")
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for (group, kinds), axes in zip(groups.items(), panels, strict=True):
-        dashes = cycle(("-", "--", "-."))
+        dashes = cycle(("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (9, 3)), (0, (2, 1))))
         for name, arm in kinds.items():
             algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
             if algo == "ppo" and lam > 0:

@@ -8,7 +8,7 @@
     velocity/speed.csv         the mean speed of pi over time, for Figure 6
     curriculum/reached.csv.gz  a row per cell that the grid of commands had reached in the end
 
-`python -m results add RUN...` plays the policies of run folders, and puts them in.
+`python -m results add FOLDER...` plays the policies of run folders, and puts them in.
 """
 
 import csv
@@ -144,9 +144,10 @@ def runs_of(place, path, name):
             yield Run(run, settings_of(row), row, *map(columns, parts))
 
 
-def commits(row):
-    """The commits of all starts of the run in a row of runs.csv."""
-    return {row["commit"], *(start["commit"] for start in json.loads(row["resumed"] or "[]"))}
+def commits(kinds):
+    """The commits of all starts of the Runs of some kinds, {kind: [Run, ...]}."""
+    rows = [run.row for arm in kinds.values() for run in arm]
+    return {x["commit"] for row in rows for x in (row, *json.loads(row["resumed"] or "[]"))}
 
 
 def settings_of(row):
@@ -225,9 +226,8 @@ def kind(settings, usual):
     """
     name = f"PPO({settings['lam']:g})" if settings["algo"] == "ppo" else "EIPO"
     other = {x: y for x, y in unsaid(settings).items() if y != usual[x]}
-    for x, words in dict(lam="from", lr_alpha="at eta_alpha").items():
-        if x in other:
-            name += f" {words} {other.pop(x):g}"
+    if "lam" in other:
+        name += f" from {other.pop('lam'):g}"
     name += " smooth" * (settings["aux"] == "smooth") + " shaped" * (settings["reward"] == "shaped")
     return name + "".join(f", {x} {y}" for x, y in other.items())
 

@@ -131,7 +131,7 @@ class Spread(NamedTuple):
     df: int  # degrees of freedom
 
     def between(self, x, y):
-        """The means of x (seeds,) less that of y, and its 95 % interval: infinite if df is 0."""
+        """The mean of x (seeds,) less that of y, and its 95 % interval: infinite if df is 0."""
         difference, half = x.mean() - y.mean(), np.inf
         if self.df:
             half = stats.t.ppf(0.975, self.df) * self.s * np.sqrt(1 / len(x) + 1 / len(y))
@@ -146,20 +146,37 @@ def spread(arms):
 
 
 def answers(runs):
-    """Yields tables in Markdown, for each group of runs with PPO, of both kinds of start."""
+    """Yields tables in Markdown, for each group of runs with PPO, of both kinds of start.
+
+    Where some runs of an arm walk and others stand, the same follows without the latter, as a
+    description: they make the spread large, which the rules take to be alike in all arms.
+    """
     for group, kinds in by_group(runs).items():
         if not any(is_ppo(kind) for kind in kinds):
             continue
-        for nominal in (False, True):
-            yield from answers_of(group, kinds, nominal)
-        found = {x for arm in kinds.values() for run in arm for x in tables.commits(run.row)}
-        yield f"Commits: {', '.join(sorted(found))}."
+        walking = that_walk(kinds)
+        versions = {group: kinds}
+        if any(len(walking[kind]) < len(kinds[kind]) for kind in kinds):
+            versions |= {f"{group}, runs that walk": walking}
+        for name, some in versions.items():
+            for nominal in (False, True):
+                yield from answers_of(name, some, nominal)
+        yield f"Commits: {', '.join(sorted(tables.commits(kinds)))}."
         yield ""
+
+
+def that_walk(kinds):
+    """Kinds of runs, and of an arm in which some run walks those that do."""
+
+    def walks(run):
+        return evaluate.numbers(tables.evaluation(run.episodes))["v_x"] > WALKS
+
+    return {kind: [run for run in arm if walks(run)] or arm for kind, arm in kinds.items()}
 
 
 def answers_of(group, kinds, nominal):
     """The table of one group, from random starts or from nominal ones, and after it the kinds with
-    other settings beside the same without.
+    other settings beside the same without. Power is a geometric mean.
     """
     arms = pooled(kinds, score_of(group), nominal)
     margin = MARGINS[score_of(group)]
@@ -169,12 +186,13 @@ def answers_of(group, kinds, nominal):
     least = min(good, key=lambda kind: arms.power[kind].mean())
     lams = [kinds[kind][0].settings["lam"] for kind in good]
     starts = "nominal starts" if nominal else "random starts"
-    columns = f"less {best}", "", "power", f"of {least}", "last lambda is good", "less PPO(0.005)"
+    columns = f"less {best}", "", "geometric power", f"of {least}"
+    columns = *columns, "last lambda is good", "less PPO(0.005)"
     yield f"| {' | '.join((f'{group}, {starts}', 'score', *columns, 'seeds'))} |"
     yield "|---" * 9 + "|"
     for kind, arm in kinds.items():
         difference = arms.less(kind, best)
-        less, word = shown(difference), verdict(difference, margin)
+        less, word = shown(difference), goodness(difference, margin)
         if kind == best:
             less, word = "", "best"
         ratio = arrived = other = ""
@@ -229,7 +247,7 @@ def pooled(kinds, name, nominal):
     return Pooled(score, power, *(spread([x[kind] for kind in walking]) for x in (score, power)))
 
 
-def verdict(difference, margin):
+def goodness(difference, margin):
     """Whether a difference to the best is above minus the margin, and surely if its interval is."""
     mean, low, high = difference
     if low > -margin or high < -margin:

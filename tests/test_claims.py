@@ -265,8 +265,8 @@ def write(place, *runs):
 
 
 def test_runs_that_count(tmp_path, capsys):
-    """Seeds from 10 to 17, of one commit in a group, of which all their starts must be. The longest
-    group of a task comes first.
+    """Seeds from 10 to 17, in a group of one learner, of which all their starts must be; several
+    commits may have one. The longest group of a task comes first.
     """
     others = ("a", 9, "old"), ("d", 18, "old"), ("new-b", 10, "other"), ("long", 10, "newest")
     write(tmp_path / "flat", ("b", 10, "new"), ("c", 17, "new"), *others)
@@ -276,6 +276,10 @@ def test_runs_that_count(tmp_path, capsys):
         ("flat, 4000 iterations", ["long"]),
         ("flat, 600 iterations", ["b", "c"]),
     ]
+    write(tmp_path / "same" / "flat", ("a", 10, "3eb3a5e0"), ("b", 11, "e7fdb0b1", "52831f82"))
+    assert [len(kinds["EIPO"]) for kinds in claims.counted(tmp_path / "same").values()] == [2]
+    write(tmp_path / "mixed" / "flat", ("a", 10, "3eb3a5e0"), ("b", 11, "c2fb9810"))
+    assert main(["claims", "--results", str(tmp_path / "mixed")]) == 2
     write(tmp_path / "more" / "flat", ("a", 10, "0ld"), ("b", 11, "new"))
     assert main(["claims", "--results", str(tmp_path / "more")]) == 2
     assert "0ld, new" in capsys.readouterr().err
@@ -292,7 +296,7 @@ def test_runs_that_count(tmp_path, capsys):
     assert "has no run" in capsys.readouterr().err
 
 
-FLAT = "flat/flat4000-*", "flat/new-*"
+FLAT = "flat/flat4000-*", "flat/flat-*"
 INTERVAL = re.compile(r"([\d.]+\.(\d+)) \[[-+]?([\d.]+), [-+]?([\d.]+)\]")
 IN_MIND = *FLAT, "velocity", "rough", "curriculum"
 
@@ -300,7 +304,7 @@ IN_MIND = *FLAT, "velocity", "rough", "curriculum"
 def test_the_pages_have_what_the_commands_print():
     pages = "".join(page.read_text() for page in (ROOT / "results").rglob("*.md"))
     lines = list(claims.claim_lines(claims.counted()))
-    for shown in (claims.TASKS, ("flat/flat4000-*",), ("curriculum",)):
+    for shown in (claims.TASKS, ("flat/flat4000-*",), ("curriculum",), ("rough/new-*",)):
         lines += claims.table(tables.runs([ROOT / "results" / runs for runs in shown]))
     in_mind = list(claims.summary(tables.runs([ROOT / "results" / runs for runs in IN_MIND])))
     for line in lines + in_mind:
@@ -322,7 +326,7 @@ def ends(text):
 
 def test_the_intervals_of_the_pages_are_those_that_the_commands_print():
     """A page may turn a difference around, and round it."""
-    runs = "flat/new-*", "rough/new-*"  # as results/README.md has them
+    runs = "flat/flat-*", "rough/new-*"  # as results/README.md has them
     lines = list(weights.answers(tables.runs([ROOT / "results" / x for x in runs])))
     lines += claims.claim_lines(claims.counted())
     printed = np.array([x[0] for x, _ in ends("\n".join(lines))])

@@ -200,7 +200,7 @@ def test_alpha_of_two_kinds_of_eipo_has_two_kinds_of_lines():
     (axes,) = figure.axes
     assert [line.get_linestyle() for line in axes.lines] == ["-", "-", "--"]
     words = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert words == ["EIPO", "EIPO at eta_alpha 0.444"]
+    assert words == ["EIPO", "EIPO, lr_alpha 0.444"]
 
 
 def seeds(kind, scores, powers, **settings):
@@ -253,6 +253,29 @@ def test_weights_by_hand():
         "on 1.00 [1.00, 1.00] times the power.",
     ]
     assert len(beside) == 4  # and once more from nominal starts
+
+
+def test_weights_once_more_without_runs_that_stand():
+    """PPO(0.005) scores 1.4 twice, and 0.8 with a seed that stands: (1.4 + 1.4 + 0.8) / 3 = 1.2.
+    PPO(0.02) stands with its only seed, and stays. A summary counts who stands.
+    """
+    runs = seeds("a", [1.5], [400], algo="ppo", lam=0.0)
+    runs += seeds("b", [1.4, 1.4, 0.8], [100] * 3, algo="ppo", lam=0.005)
+    runs += seeds("c", [0.9], [70], algo="ppo", lam=0.02)
+    for i in (3, 4):
+        runs[i] = runs[i]._replace(episodes=runs[i].episodes | dict(v_x=np.zeros(2)))
+    lines = [line.strip("| ").split(" | ") for line in weights.answers(runs)]
+    found = [(x[0], x[1], x[-1]) for x in lines if x[0] in ("PPO(0.005)", "PPO(0.02)")]
+    assert found == 2 * [("PPO(0.005)", "1.200", "3"), ("PPO(0.02)", "0.900", "1")] + 2 * [
+        ("PPO(0.005)", "1.400", "2"),
+        ("PPO(0.02)", "0.900", "1"),
+    ]
+    assert sum("runs that walk" in x[0] for x in lines) == 2
+    rows = [line.strip("| ").split(" | ") for line in claims.summary(runs)]
+    assert {x[0]: x[3] for x in rows if x[0] in ("PPO(0.005)", "PPO(0.02)")} == {
+        "PPO(0.005)": "1 of 3 stands",
+        "PPO(0.02)": "stands",
+    }
 
 
 def test_weights_of_nominal_starts_have_their_own_score_and_power():
@@ -457,7 +480,7 @@ def test_alpha_is_drawn_over_iterations():
 
 
 def test_weights_prints_its_tables(tmp_path, capsys):
-    runs = str(ROOT / "results/flat/new-*")
+    runs = str(ROOT / "results/flat/flat-*")
     assert main(["weights", runs, "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().out.splitlines() == list(weights.answers(tables.runs([runs])))
 
@@ -550,10 +573,10 @@ def test_kinds_of_runs():
     (flat,) = by_group(several, "flat").values()
     assert {name: [run.name for run in runs] for name, runs in flat.items()} == {
         "EIPO": ["f"],
+        "EIPO, lr_alpha 0.01, momentum_alpha 0.5": ["b"],
         "EIPO, num_envs 64": ["c"],
         "PPO(0)": ["e", "h"],
         "PPO(0.005)": ["d"],
-        "EIPO at eta_alpha 0.01, momentum_alpha 0.5": ["b"],
         "EIPO from 0.002": ["a"],
     }
 
@@ -565,7 +588,7 @@ def test_a_longer_run_is_of_another_group():
     groups = by_group([*runs, made("d", "rough")])
     assert {group: list(kinds) for group, kinds in groups.items()} == {
         "flat, 600 iterations": ["EIPO"],
-        "flat, 4000 iterations": ["EIPO", "EIPO at eta_alpha 0.5"],
+        "flat, 4000 iterations": ["EIPO", "EIPO, lr_alpha 0.5"],
         "rough, 600 iterations": ["EIPO"],
     }
     assert list(by_group([*runs, made("d", "rough")], "rough")) == ["rough, 600 iterations"]
@@ -971,7 +994,7 @@ def test_the_record_can_be_read():
         runs = tables.runs([place / "*"])
         found += len(runs)
         assert len(runs) > 1 and all(run.settings["task"] == place.name for run in runs)
-        # those of a newer commit may be of a kind and a seed that is there
+        # those of a newer learner may be of a kind and a seed that is there
         new = [run for run in runs if run.name.startswith("new-")]
         kept = [run for run in runs if not run.name.startswith("new-")]
         assert by_group(kept) and len(by_group(new)) <= 1
@@ -987,9 +1010,9 @@ def test_the_record_can_be_read():
 
 TRADEOFF = (
     "flat4000-*",
-    *(f"new-flat-{x}-*" for x in ("eipo-lam0.005", "ppo-lam0", "ppo-lam0.00[125]")),
+    *(f"flat-{x}-*" for x in ("eipo-lam0.005", "ppo-lam0", "ppo-lam0.00[125]")),
 )
-WEIGHTS = "flat/new-*", "rough/new-*"
+WEIGHTS = "flat/flat-*", "rough/new-*"
 
 
 @pytest.mark.parametrize("picture, runs", [
