@@ -3,6 +3,7 @@
 `weights` draws it, and `answers` has it as tables, by section 10 of audit/rules.md.
 """
 
+import re
 from itertools import cycle
 from operator import itemgetter
 from typing import NamedTuple
@@ -18,7 +19,8 @@ from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
 
 WALKS = 0.25  # m/s, mean speed ahead above which an arm or a run counts as walking, by section 10
 BROWN = "#8C510A"
-COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195", "#C00000"  # kinds of EIPO
+COLOURS = "#0072B2", "#00B0C8", "#E754B0", "#009E73", "#7A5195"  # of EIPO, by its lambda_0
+OTHERS = "#C00000", "#FF7F0E", "#404040"  # of EIPO with other settings, by these
 
 
 def is_ppo(kind):
@@ -61,8 +63,10 @@ def weights(runs):
                 row |= dict(lam_end=last_lam(run), score=score, power=power, energy=energy, v_x=v_x)
                 rows.append(row)
     figure, panels = panels_by("group", rows, 2)
-    labels = dict.fromkeys(label(row) for row in rows if is_eipo(row["kind"]))
-    colours = dict(zip(labels, cycle(COLOURS)))  # one start has one colour in all panels
+    # one start, or one setting, has one colour in all panels
+    parts = dict.fromkeys(part(label(row)) for row in rows if is_eipo(row["kind"]))
+    cycles = {True: cycle(COLOURS), False: cycle(OTHERS)}
+    colours = {name: next(cycles[is_eipo(name)]) for name in parts}
     above = [x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0]
     zero = min([*above, LAMBDAS[1]]) / 3  # where 0 stands on an axis that is logarithmic
     for _, _, (_, bottom) in panels[1:]:
@@ -89,14 +93,20 @@ def weights(runs):
 
 def label(row):
     """What the figure calls a kind of EIPO: the paper's lambda_0 is said, too."""
-    return f"EIPO from {row['lam']:g}" if row["kind"] == "EIPO" else row["kind"]
+    return re.sub("^EIPO(?=,|$)", f"EIPO from {row['lam']:g}", row["kind"])
+
+
+def part(name):
+    """What gives a kind of EIPO its colour: its other settings, or else its start."""
+    start, _, settings = name.partition(", ")
+    return settings or start
 
 
 def draw(axes, rows, column, zero, colours):
     """Draw a column of the rows of one group over lambda, with 0 at `zero`, since its axis is
     logarithmic. Returns the means of PPO over its seeds, {lambda: mean}.
 
-    colours: {label of a kind of EIPO: colour}
+    colours: {`part` of the label of a kind of EIPO: colour}
     """
     ppo = [row for row in rows if is_ppo(row["kind"])]
     by_lam = sorted(tables.grouped(ppo, "lam").items())
@@ -113,7 +123,7 @@ def draw(axes, rows, column, zero, colours):
         name = label(mine[0])
         for i, row in enumerate(mine):
             start, end = row["lam"], min(row["lam_end"], 10 * max(LAMBDAS))
-            colour, y = dict(color=colours[name]), row[column]
+            colour, y = dict(color=colours[part(name)]), row[column]
             shaft = dict(marker="|", markevery=[0], linewidth=1, alpha=0.5, **colour)
             axes.plot([start, end], [y, y], **shaft, label="" if i else name)
             axes.plot([end], [y], ">" if end > start else "<", markersize=6, **colour)

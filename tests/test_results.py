@@ -255,6 +255,22 @@ def test_weights_by_hand():
     assert len(beside) == 4  # and once more from nominal starts
 
 
+def test_weights_gives_a_start_and_a_setting_one_colour_each():
+    """On both tasks: 512 robots have their own, whatever lambda_0 they have."""
+    plain = [dict(lam=0.005), dict(lam=0.02), dict(lam=0.02, num_envs=512)]
+    runs = [run for i in plain for run in seeds(str(i), [1.4], [100], **i)]
+    runs += [run for i in plain for run in seeds(f"r{i}", [1.1], [100], task="rough", **i)]
+    _, figure = weights.weights(runs)
+    found = [
+        {x.get_label(): x.get_color() for x in axes.lines if x.get_label().startswith("EIPO")}
+        for axes in (figure.axes[0], figure.axes[2])
+    ]
+    assert found[0] == found[1]
+    assert list(found[0]) == ["EIPO from 0.005", "EIPO from 0.02", "EIPO from 0.02, num_envs 512"]
+    assert len({*found[0].values()}) == 3 and found[0]["EIPO from 0.005"] == weights.COLOURS[0]
+    assert found[0]["EIPO from 0.02, num_envs 512"] == weights.OTHERS[0]
+
+
 def test_weights_once_more_without_runs_that_stand():
     """PPO(0.005) scores 1.4 twice, and 0.8 with a seed that stands: (1.4 + 1.4 + 0.8) / 3 = 1.2.
     PPO(0.02) stands with its only seed, and stays. A summary counts who stands.
