@@ -303,6 +303,9 @@ def tradeoff(runs):
                 about | dict(run=run.name, score=a, power=b)
                 for run, a, b in zip(arm, x, y, strict=True)
             ]
+        low, high = axes.get_xlim()
+        if low < BOTTOM.get(task_of(group), np.inf) < high:  # runs that stand are left of it
+            axes.set_xlim(left=BOTTOM[task_of(group)])
         axes.set(xlabel=LABELS[score], ylabel=LABELS["power"], title=group)
         log_axis(axes)
         axes.grid(alpha=0.3)

@@ -495,6 +495,15 @@ def test_alpha_is_drawn_over_iterations():
     assert line.get_xydata().tolist() == [[10, 200], [20, 400]]
 
 
+def test_a_run_that_stands_is_left_of_the_tradeoff():
+    """On flat ground the axis begins at 1.2 if a run scores less, but not if all do."""
+    runs = seeds("a", [1.4, 0.9], [100, 100], algo="ppo", lam=0.005)
+    _, figure = figures.tradeoff(runs)
+    assert figure.axes[0].get_xlim()[0] == 1.2
+    _, figure = figures.tradeoff(runs[1:])
+    assert figure.axes[0].get_xlim()[0] < 0.9
+
+
 def test_weights_prints_its_tables(tmp_path, capsys):
     runs = str(ROOT / "results/flat/flat-*")
     assert main(["weights", runs, "--out", str(tmp_path)]) == 0
