@@ -100,8 +100,8 @@ def eipo(env, env_prime, cfg, state=None):
     state:          State to resume from, with both environments as they were then; None: a new one,
                     with networks.MLP. cfg.lam is above 0
     Metrics are of pi and alpha before the iteration changes them; losses and noise are means over
-    its update. The tags are the paper's line
-    numbers. Where line 11 prints pi, it means pi_prime (D1).
+    its update. The tags are the paper's line numbers. Where line 11 prints pi, it means pi_prime
+    (D1).
     """
     # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
