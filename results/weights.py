@@ -14,8 +14,8 @@ from scipy import stats
 
 import evaluate
 from results import tables
-from results.figures import BOTTOM, LABELS, log_axis, panels_by
-from results.tables import LAMBDAS, MARGINS, by_group, score_of, task_of
+from results.figures import LABELS, log_axis, panels_by
+from results.tables import LAMBDAS, MARGINS, by_group, score_of
 
 WALKS = 0.25  # m/s, mean speed ahead above which an arm or a run counts as walking, by section 10
 BROWN = "#8C510A"
@@ -77,8 +77,9 @@ def weights(runs):
             best = max(means.values())
             low = best - MARGINS[score_of(group)]
             top.axhspan(low, best, color="black", alpha=0.1, linewidth=0)
-        if BOTTOM.get(task_of(group), np.inf) < top.get_ylim()[1]:  # robots that stand are below
-            top.set_ylim(bottom=BOTTOM[task_of(group)])
+        walking = [row["score"] for row in mine if row["v_x"] > WALKS]
+        if 0 < len(walking) < len(mine):  # robots that stand are below
+            top.set_ylim(bottom=min(walking) - 3 * MARGINS[score_of(group)])
         draw(bottom, mine, "power", zero, colours)
         top.set_ylabel(LABELS[score_of(group)])
         bottom.set(ylabel=LABELS["power"], xlabel="lambda (of EIPO from start to end)")

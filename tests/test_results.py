@@ -372,7 +372,8 @@ def test_alpha_arrives_at_a_good_weight_or_within_a_factor_of_two(lam, good, arr
 def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     """lambda 0 stands left of 0.0001, and the line ends where no weight was run. A robot that
     does not walk, at 0.25 m/s and less, has an open dot. EIPO's arrow goes from 0.02 to 1 / 200,
-    leftwards, with a stroke where it starts.
+    leftwards, with a stroke where it starts. The lowest score of those that walk is 1.3, so the
+    axis begins at 1.3 - 3 * 0.03 = 1.21.
     """
     runs = seeds("a", [1.4, 1.5], [400, 400], algo="ppo", lam=0.0)
     runs += seeds("b", [1.3], [100], algo="ppo", lam=0.0001)
@@ -391,6 +392,7 @@ def test_the_figure_of_weights_has_a_dot_for_ppo_and_an_arrow_for_eipo():
     assert np.allclose(arrow.get_xydata(), [[0.02, 1.44], [0.005, 1.44]])
     assert arrow.get_marker() == "|" and arrow.get_markevery() == [0]
     assert head.get_marker() == "<" and np.allclose(head.get_xydata(), [[0.005, 1.44]])
+    assert np.isclose(figure.axes[0].get_ylim()[0], 1.21)
     (band,) = figure.axes[0].patches
     assert np.allclose(band.get_xy()[1] + np.array([0, band.get_height()]), [1.42, 1.45])
 
