@@ -44,7 +44,7 @@ def plot(axes, xlabel, ylabel, x, curves):
         axes.plot(x, y, color=colour, linestyle=style, linewidth=1.8, label=label or None)
     axes.set(xlabel=xlabel, ylabel=ylabel)
     if any(curves):
-        axes.legend(frameon=False, fontsize=9)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4, frameon=False, fontsize=8)
 
 
 def curves(*drawn):
