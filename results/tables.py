@@ -365,6 +365,31 @@ def add(folders, results=RESULTS, num_episodes=None):
     same name and settings is replaced. What is refused is refused before anything is played, but
     for a run that is trained on meanwhile.
     """
+    for folder, about, row, parts in to_add(folders, results):
+        task = settings_of(row)["task"]
+        (results / task).mkdir(parents=True, exist_ok=True)
+        played, speeds = play(folder, task, num_episodes)
+        if learned(folder)[0] != about:
+            raise Refused(f"{folder} was trained on meanwhile: add it again when it is done")
+        mine = columns(grouped(played, "policy")["pi"])
+        parts = parts | {EPISODES: played}
+        if task == "velocity":
+            parts[SPEED] = speeds
+        # last: what stops before it leaves no run without episodes
+        parts[RUNS] = [dict(run=folder.name) | numbers_of(mine) | row]
+        with run_folder.lock(results / task, wait=True):  # two may add at a time
+            for file, new in parts.items():
+                path = results / task / file
+                others = [x for x in read(path) if x["run"] != folder.name]
+                write(path, sorted([*others, *new], key=itemgetter("run")))
+
+
+def to_add(folders, results):
+    """What `add` takes from run folders without playing them: a list of (folder, what its policies
+    say of themselves, its row of runs.csv without scores, {table: rows}).
+
+    Refused if one of them is not a run, or not the one that has its name in a table already.
+    """
     found = {}
     for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):
         if folder.name in found:
@@ -379,26 +404,11 @@ def add(folders, results=RESULTS, num_episodes=None):
             other = differing(settings_of(kept), settings)
             if kept["run"] == folder.name and other:
                 raise Refused(f"{path} has a {folder.name} with another {other}: rename the folder")
-        curriculum = settings["task"] == "curriculum"
-        reached = {REACHED: reached_rows(folder, row["iterations"])} if curriculum else {}
-        found[folder.name] = folder, about, row, metrics, reached
-    for name, (folder, about, row, metrics, reached) in found.items():
-        task = settings_of(row)["task"]
-        (results / task).mkdir(parents=True, exist_ok=True)
-        played, speeds = play(folder, task, num_episodes)
-        if learned(folder)[0] != about:
-            raise Refused(f"{folder} was trained on meanwhile: add it again when it is done")
-        mine = columns(grouped(played, "policy")["pi"])
-        row = dict(run=name) | numbers_of(mine) | row
-        parts = {METRICS: thinned(name, metrics), EPISODES: played} | reached
-        if task == "velocity":
-            parts[SPEED] = speeds
-        parts[RUNS] = [row]  # last: what stops before it leaves no run without episodes
-        with run_folder.lock(results / task, wait=True):  # two may add at a time
-            for file, new in parts.items():
-                path = results / task / file
-                others = [x for x in read(path) if x["run"] != name]
-                write(path, sorted([*others, *new], key=itemgetter("run")))
+        parts = {METRICS: thinned(folder.name, metrics)}
+        if settings["task"] == "curriculum":
+            parts[REACHED] = reached_rows(folder, row["iterations"])
+        found[folder.name] = folder, about, row, parts
+    return list(found.values())
 
 
 def learned(folder):
