@@ -23,7 +23,7 @@ from scipy import stats
 import go1_env
 import tasks
 from runtime import run_folder
-from runtime.cli import COUNT, Parser, misfit, program
+from runtime.cli import COUNT, Parser, a_path, misfit, program
 
 # of the evaluation's episodes and their ground. Those of training, 2 * seed + 1 and --ground-seed,
 # are below 2**33, so none of them draws the same. (A tuple such as (2024, 0) would not do: NumPy
@@ -187,8 +187,8 @@ def main(argv):
     """Evaluate and print; returns the exit status."""
     parser = Parser("evaluate.py", __doc__)
     add = parser.add_argument
-    add("runs", nargs="+", type=Path, help="run folders with a policy.npz")
-    add("--episodes", type=int, default=1000, help="of each run (default: 1000)")
+    add("runs", nargs="+", type=a_path, metavar="RUN", help="run folders with a policy.npz")
+    add("--episodes", type=int, default=1000, help="of each run, at least (default: 1000)")
     add("--clip", choices=("torque", "power"), default=CLIP, help="of Eq. (9), D3 (default: power)")
     add("--prime", action="store_true", help="pi', the rival in EIPO, instead of pi")
     args = parser.parse_args(argv)

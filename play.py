@@ -14,7 +14,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 
 def way_to_draw():
@@ -40,7 +39,7 @@ import evaluate
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.cli import SEED, Parser, Refused, is_place_for, misfit, program
+from runtime.cli import SEED, Parser, Refused, a_path, is_place_for, misfit, program
 
 LIMITS = dict(
     port={"at least": 0, "at most": 65535},
@@ -131,8 +130,8 @@ def main(argv):
     """Play or draw; returns the exit status."""
     parser = Parser("play.py", __doc__)
     add = parser.add_argument
-    add("runs", metavar="RUN", nargs="+", type=Path, help="run folder with a policy.npz")
-    add("--gif", metavar="FILE", type=Path, help="draw the runs into a GIF instead of a window")
+    add("runs", metavar="RUN", nargs="+", type=a_path, help="run folder with a policy.npz")
+    add("--gif", metavar="FILE", type=a_path, help="draw the runs into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, help="of --web (default: free, from 8080 on)")
     add("--seed", type=int, default=0, help="of the world (default: 0)")

@@ -21,7 +21,7 @@ import go1
 import tasks
 from play import names_of
 from runtime import run_folder
-from runtime.cli import Parser, Refused, is_place_for, misfit, program, say
+from runtime.cli import Parser, Refused, a_path, is_place_for, misfit, program, say
 
 NUM_ROBOTS, SECONDS, SHOWN = 16, 3.0, 1.0  # SECONDS that count, SHOWN in the picture [s]
 ROWS = ("FL", "FR", "RL", "RR")  # from the top of a picture of footfalls to its bottom
@@ -89,9 +89,9 @@ def main(argv):
     """Print the table and draw the picture of some RUNs; returns the exit status."""
     parser = Parser("docs.gait", __doc__.split("\n\n")[0])
     add = parser.add_argument
-    add("runs", metavar="RUN", nargs="+", type=Path, help="run folder with a policy.npz")
+    add("runs", metavar="RUN", nargs="+", type=a_path, help="run folder with a policy.npz")
     add("--v-x", type=float, nargs="+", default=[0.5], help="m/s, asked for (default: 0.5)")
-    add("--out", metavar="FILE", type=Path, default=Path("gait.png"), help="(default: gait.png)")
+    add("--out", metavar="FILE", type=a_path, default=Path("gait.png"), help="(default: gait.png)")
     args = parser.parse_args(argv)
     if line := misfit(dict(v_x=args.v_x), LIMITS):
         parser.error(line)

@@ -10,7 +10,6 @@ import math
 import os
 import sys
 from dataclasses import replace
-from pathlib import Path
 from unittest import mock
 
 if __name__ == "__main__":
@@ -20,7 +19,7 @@ import numpy as np
 
 import evaluate
 import go1
-from runtime.cli import COUNT, Parser, Refused, misfit, program
+from runtime.cli import COUNT, Parser, Refused, a_path, misfit, program
 
 CASES = {
     "nothing": {},
@@ -66,7 +65,7 @@ def main(argv):
     """Print the table of a RUN, from --episodes of each row; returns the exit status."""
     parser = Parser("docs.losses", __doc__)
     add = parser.add_argument
-    add("run", metavar="RUN", type=Path, help="run folder with a policy.npz")
+    add("run", metavar="RUN", type=a_path, help="run folder with a policy.npz")
     add("--episodes", type=int, default=330, help="of each row (default: 330)")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):

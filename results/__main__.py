@@ -26,7 +26,7 @@ from PIL import Image
 
 from results import claims, figures, tables, weights
 from runtime import run_folder
-from runtime.cli import COUNT, Parser, misfit, program
+from runtime.cli import COUNT, Parser, a_path, misfit, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "tradeoff", "alpha", "weights"
 TABLES = "summary", "table"
@@ -49,8 +49,8 @@ def main(argv):
     add = parser.add_argument
     add("name", choices=[*FIGURES, *TABLES, "claims", "add"], metavar="NAME")
     add("what", nargs="*", help="runs or folders, as NAME takes them")
-    add("--out", type=Path, help="folder for PNG and CSV of a figure (default: where you are)")
-    add("--results", type=Path, help="folder of the tables, for add and claims (default: ours)")
+    add("--out", type=a_path, help="folder for PNG and CSV of a figure (default: where you are)")
+    add("--results", type=a_path, help="folder of the tables, for add and claims (default: ours)")
     add("--episodes", type=int, help="that add plays, per policy and kind of start")
     args = parser.parse_args(argv)
     if line := misfit(vars(args), dict(episodes=COUNT)):

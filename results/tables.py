@@ -28,7 +28,7 @@ import numpy as np
 import evaluate
 import tasks
 from runtime import run_folder
-from runtime.cli import Refused
+from runtime.cli import Refused, say
 
 RESULTS = Path(__file__).parent
 RUNS, METRICS, EPISODES = "runs.csv", "metrics.csv.gz", "episodes.csv.gz"
@@ -382,6 +382,7 @@ def add(folders, results=RESULTS, num_episodes=None):
                 path = results / task / file
                 others = [x for x in read(path) if x["run"] != folder.name]
                 write(path, sorted([*others, *new], key=itemgetter("run")))
+        say(f"{folder.name}: {len(played)} episodes, now in {results / task}")
 
 
 def to_add(folders, results):

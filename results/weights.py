@@ -164,6 +164,8 @@ def answers(runs):
     """
     for group, kinds in by_group(runs).items():
         if not any(is_ppo(kind) for kind in kinds):
+            yield f"{group}: without runs of PPO there is nothing to compare with."
+            yield ""
             continue
         walking = that_walk(kinds)
         versions = {group: kinds}

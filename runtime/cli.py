@@ -10,6 +10,7 @@ import sys
 import threading
 from contextlib import suppress
 from operator import ge, gt, le, lt
+from pathlib import Path
 
 from go1 import OtherRobot
 
@@ -76,6 +77,13 @@ def misfit(values, limits):
                 needs = " and ".join(f"{word} {end}" for word, end in ends.items())
                 return f"--{name.replace('_', '-')} is {number}: it must be {needs}"
     return None
+
+
+def a_path(text):
+    """A Path, as argparse's type. An empty one is refused: a script's variable that is not set."""
+    if not text:
+        raise argparse.ArgumentTypeError("it is empty: give a path, or leave it out")
+    return Path(text)
 
 
 def is_place_for(path, suffix):
@@ -150,4 +158,5 @@ class StopRequest:
             signal.signal(number, signal.SIG_DFL)
             # not by print, in the midst of which the signal may have come
             with suppress(OSError):
-                os.write(1, b"\nStopping after this iteration. Ctrl-C again stops at once\n")
+                line = "Stopping after this iteration. Ctrl-C again stops at the last checkpoint"
+                os.write(1, f"\n{line}\n".encode())

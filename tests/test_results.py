@@ -512,6 +512,11 @@ def test_weights_prints_its_tables(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines() == list(weights.answers(tables.runs([runs])))
 
 
+def test_weights_says_what_it_cannot_compare():
+    (line, _) = weights.answers(seeds("a", [1.4], [100], lam=0.02))
+    assert line == "flat, 600 iterations: without runs of PPO there is nothing to compare with."
+
+
 # ---- regions of commands ----
 
 
@@ -855,6 +860,7 @@ def test_two_runs_of_one_name_are_one_line(short, capsys):
     assert "have one name" in error_of(capsys, main, "add", a, b, *to)
     assert not Path("kept").exists()
     assert main(["add", str(a), str(a), *to]) == 0
+    assert capsys.readouterr().out == "run: 22 episodes, now in kept/flat\n"
     before = Path("kept/flat/runs.csv").read_bytes()
     assert "has a run with another lam" in error_of(capsys, main, "add", b, *to)
     assert Path("kept/flat/runs.csv").read_bytes() == before
@@ -1118,6 +1124,15 @@ def test_a_flag_that_would_be_ignored_is_refused(line, capsys, tmp_path, monkeyp
         main(line.split())
     name, *_, flag, _ = line.split()
     assert f"{name} takes no {flag}" in capsys.readouterr().err and not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("argv", [["weights", "RUN", "--out", ""], ["claims", "--results", ""]])
+def test_an_empty_path_is_not_where_one_is(argv, capsys, tmp_path, monkeypatch):
+    """A script's variable that is not set would write into the folder where one is."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(argv)
+    assert "it is empty" in capsys.readouterr().err and not [*tmp_path.iterdir()]
 
 
 def test_a_run_that_two_patterns_find_counts_once():
