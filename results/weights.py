@@ -157,7 +157,8 @@ def spread(arms):
 
 
 def answers(runs):
-    """Yields tables in Markdown, for each group of runs with PPO, of both kinds of start.
+    """Yields tables in Markdown, for each group of runs with PPO, of both kinds of start. A group
+    without PPO has one line instead.
 
     Where some runs of an arm walk and others stand, the same follows without the latter, as a
     description: they make the spread large, which the rules take to be alike in all arms.

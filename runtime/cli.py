@@ -158,5 +158,5 @@ class StopRequest:
             signal.signal(number, signal.SIG_DFL)
             # not by print, in the midst of which the signal may have come
             with suppress(OSError):
-                line = "Stopping after this iteration. Ctrl-C again stops at the last checkpoint"
-                os.write(1, f"\n{line}\n".encode())
+                os.write(1, b"\nStopping after this iteration. Ctrl-C again stops at once, and\n")
+                os.write(1, b"--resume then goes on from the last checkpoint\n")

@@ -140,9 +140,6 @@ def parse(argv):
             flag = "--" + name.replace("_", "-")
             group.add_argument(flag, help=text.replace("%", "%%"), **kind_of(by_name[name]))
     given = tuples(vars(parser.parse_args(argv)))
-    for name in given:
-        if name.endswith("_alpha") and given.get("algo") == "ppo":
-            parser.error(f"--{name.replace('_', '-')} does nothing: --algo ppo has no alpha")
     return [{name: given[name] for name in describe(c) if name in given} for c in GROUPS.values()]
 
 
