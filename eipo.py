@@ -42,9 +42,9 @@ class Config(PPOConfig):
     num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
     num_steps: int = 24  # [IV-C] T, control steps of each robot in a rollout
-    lr_alpha: float = 0.01  # [IV-C] eta_alpha, the step size of alpha; larger on three tasks (D38)
+    lr_alpha: float = 0.01  # [IV-C] eta_alpha, step size of alpha; each task has its own (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
-    momentum_alpha: float = 0.99  # [IV-C] momentum of the step on alpha; less on rough (D38)
+    momentum_alpha: float = 0.99  # [IV-C] of the step on alpha; each task has its own (D38)
     mirror: bool = True  # [ours] let `train.py` tie weights by the robot's left-right mirror (D28)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only wait
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn, so nothing that draws needs to work
 
 import numpy as np

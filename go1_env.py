@@ -114,7 +114,7 @@ class Go1Env:
         self.ground = None
         if levels.any():
             self.ground = terrain.make_ground(levels, env_cfg.ground_seed, env_cfg.cells_per_m)
-        model = go1.build_model(env_cfg.timestep, self.ground)
+        model = go1.build_model(env_cfg.timestep, self.ground, looks=False)
         self.joint_range = model.jnt_range[1:].T  # (2, 12) rad, without the free joint of the trunk
         self.trunk = model.body("trunk")
         self.feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]

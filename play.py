@@ -28,6 +28,8 @@ def way_to_draw():
     return found[0] if found else "off"
 
 
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only wait
 has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 if sys.platform == "linux" and ("--gif" in " ".join(sys.argv) or not has_display):
     if "MUJOCO_GL" not in os.environ:  # which MuJoCo reads on import

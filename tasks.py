@@ -137,32 +137,47 @@ class Task(NamedTuple):
     torque_speed: bool = False
 
 
-# Our runs have 10 to 15 % of the paper's iterations, which are 4000 on `flat` and `rough` and 10000
-# on `velocity`; for `curriculum` it prints none. So that alpha gets somewhere in so few, it takes
-# larger steps than the paper's 0.01, except on `velocity` (D38). `velocity` has half as many robots
-# (D9).
+# Alpha has one clock (D38). The paper's step 0.01 and momentum 0.99 are for runs of 4000 iterations
+# (`velocity`: 10 000). In a run that is k times shorter, alpha's clock runs k times faster: its step
+# is 0.01 k^2, its momentum 1 - 0.01 k. No length is printed for `curriculum`, which has the clock of
+# `flat`. `velocity` has half as many robots (D9).
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
         reward=rewards.flat,  # Eq. (5)
         commands=lambda: Range(1.0, 0.0, 0.0),  # [IV-A.1]
         world=dict(history=5),  # [V-A]
-        learner=dict(lam=0.005, iterations=600, lr_alpha=0.5),  # [V-A], [ours]
+        learner=dict(
+            lam=0.005,  # [V-A]
+            iterations=600,  # [ours] of 4000 [V-A], so k = 6.7
+            lr_alpha=0.444,  # 0.01 k^2 (D38)
+            momentum_alpha=0.933,  # 1 - 0.01 k (D38)
+        ),
     ),
     "rough": Task(
         "the same on hills of up to 15 cm",
         reward=rewards.rough,  # Eq. (6)
         commands=lambda: Range(1.0, 0.0, 0.0),  # [IV-A.2]
         world=dict(history=10, roughness=(0.0, 0.15), cells_per_m=1),  # [V-B], [IV-A.2], [lab code]
-        # [V-B], [ours]
-        learner=dict(lam=0.0002, iterations=600, lr_alpha=0.444, momentum_alpha=0.933),
+        learner=dict(
+            lam=0.0002,  # [V-B]
+            iterations=600,  # [ours] of 4000, so k = 6.7
+            lr_alpha=0.444,  # 0.01 k^2 (D38)
+            momentum_alpha=0.933,  # 1 - 0.01 k (D38)
+        ),
     ),
     "velocity": Task(
         "run as fast as possible on bumps of 5 cm",
         reward=rewards.max_velocity,  # Eq. (7)
         commands=lambda: Range(0.0, 0.0, 0.0),
         world=dict(history=10, roughness=(0.05, 0.05)),  # [V-D], [IV-A.3]
-        learner=dict(lam=0.0002, iterations=1000, num_envs=128),  # [V-D], [ours]
+        learner=dict(
+            lam=0.0002,  # [V-D]
+            iterations=1000,  # [ours] of 10 000, so k = 10
+            num_envs=128,  # [ours] (D9)
+            lr_alpha=1.0,  # 0.01 k^2 (D38)
+            momentum_alpha=0.9,  # 1 - 0.01 k (D38)
+        ),
         only_feet=True,  # [IV-A.3]
         torque_speed=True,  # [V-D]
     ),
@@ -186,7 +201,12 @@ TASKS = {
             motor_offset=(-0.02, 0.02),
             gravity=(-1.0, 1.0),
         ),
-        learner=dict(lam=0.005, iterations=2000, lr_alpha=0.5),  # [V-E], [ours]
+        learner=dict(
+            lam=0.005,  # [V-E]
+            iterations=2000,  # [ours]
+            lr_alpha=0.444,  # [ours] that of `flat` (D38)
+            momentum_alpha=0.933,  # [ours] that of `flat` (D38)
+        ),
         only_feet=True,  # [IV-A.4]
     ),
 }

@@ -19,6 +19,7 @@ import sys
 from pathlib import Path
 
 if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only wait
     os.environ["MUJOCO_GL"] = "off"  # no robot is drawn
     os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid outside of it
 

@@ -88,8 +88,8 @@ ABOUT = """`python train.py --task flat` trains a policy and keeps everything in
 tasks:
 {tasks}
 
-A run has 10 to 15 % of the paper's iterations, where it prints them. To make up for it alpha
-takes longer steps, except on velocity (D38). The paper's length and step:
+In a run that is k times shorter than the paper's, alpha's clock runs k times faster: its step is
+0.01 k^2, its momentum 1 - 0.01 k (D38). --iterations alone does not change them. The paper's run:
   --iterations 4000 --lr-alpha 0.01 --momentum-alpha 0.99  (on velocity: --iterations 10000)
 
 [IV-C] is a section of the paper, [lab code] what its authors published, [ours] neither; D38 is an

@@ -129,7 +129,8 @@ def test_reward_of_a_task(task, command, velocity, expected):
 
 def test_batch_equals_a_plain_mujoco_loop():
     """The batch is no other simulator: one MjModel per robot, with its friction and mass, and PD by
-    hand before each mj_step, give the same bits.
+    hand before each mj_step, give the same bits. These have the geoms that are only drawn, and the
+    batch has not.
 
     D17. The cost is the mean of Eq. (9) over the four physics steps, with the mean speed of each.
     """
@@ -137,7 +138,10 @@ def test_batch_equals_a_plain_mujoco_loop():
     models = [mujoco.MjModel.from_xml_path(str(go1.MODEL)) for _ in range(3)]
     robots = [mujoco.MjData(model) for model in models]
     for i, (model, robot) in enumerate(zip(models, robots, strict=True)):
-        model.geom_friction[:], model.body_mass[:] = env.state.friction[i], env.state.mass[i]
+        feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
+        assert len(model.geom_friction) > len(env.state.friction[i])
+        model.geom_friction[feet] = env.state.friction[i, env.feet]
+        model.body_mass[:] = env.state.mass[i]
         mujoco.mj_setConst(model, robot)
         robot.qpos[:], robot.qvel[:] = env.qpos[i], env.qvel[i]
     for action in random_actions(env, 12):

@@ -22,14 +22,14 @@ from runtime.flags import Options, parse, settle
 @pytest.mark.parametrize(
     "task, history, roughness, cells_per_m, lam, iterations, step",
     [
-        ("flat", 5, (0.0, 0.0), 4, 0.005, 600, (0.5, 0.99)),
+        ("flat", 5, (0.0, 0.0), 4, 0.005, 600, (0.444, 0.933)),
         ("rough", 10, (0.0, 0.15), 1, 0.0002, 600, (0.444, 0.933)),
-        ("velocity", 10, (0.05, 0.05), 4, 0.0002, 1000, (0.01, 0.99)),
+        ("velocity", 10, (0.05, 0.05), 4, 0.0002, 1000, (1.0, 0.9)),
     ],
 )
 def test_paper_settings_of_a_task(task, history, roughness, cells_per_m, lam, iterations, step):
-    """V-A, V-B, V-D: H and the first lambda; IV-A: roughness in m; D22. D38: 15 % of the paper's
-    4000 iterations and 10 % of its 10 000; alpha's learning rate and momentum.
+    """V-A, V-B, V-D: H and the first lambda; IV-A: roughness in m; D22. D38: k = 4000 / 600 and
+    10 000 / 1000; alpha's learning rate is 0.01 k^2 = 0.444 and 1, its momentum 1 - 0.01 k.
 
     All else of the world is as on flat ground, and whatever is given wins over the paper.
     """
@@ -71,12 +71,13 @@ def test_our_settings_of_a_task(task, robots):
 
 def test_paper_settings_of_curriculum():
     """IV-A.4 and V-E: ground up to 5 cm, a motor model, an end above 800 W, feet alone on the
-    ground, five frames, lambda_0 = 0.005 (and so D38's 0.5). The lab's: 30 ms of latency, and a
-    command every ten of 20 s. What is randomised is in test_world.py.
+    ground, five frames, lambda_0 = 0.005 and alpha's clock as on flat ground (D38). The lab's:
+    30 ms of latency, and a command every ten of 20 s. What is randomised is in test_world.py.
     """
     env_cfg, cfg = settle(dict(task="curriculum"), {})
     assert (env_cfg.roughness, env_cfg.motor_model, env_cfg.max_power) == ((0, 0.05), True, 800)
-    assert (env_cfg.history, cfg.lam, cfg.lr_alpha, cfg.algo) == (5, 0.005, 0.5, "eipo")
+    assert (env_cfg.history, cfg.lam, cfg.algo) == (5, 0.005, "eipo")
+    assert (cfg.lr_alpha, cfg.momentum_alpha) == (0.444, 0.933)
     assert env_cfg.latency * env_cfg.timestep == 0.03
     assert (env_cfg.episode_steps, env_cfg.command_steps) == (1000, 500)
     assert tasks.TASKS["curriculum"].only_feet

@@ -36,7 +36,7 @@ import terrain
 
 def drawn(env):
     """What the episodes of env draw of the physics, (N, n) each, in the units of tasks.Config."""
-    model, state = mujoco.MjModel.from_xml_path(str(go1.MODEL)), env.state
+    model, state = go1.build_model(0.005, None, looks=False), env.state
     trunk, feet = model.body("trunk").id, [model.geom(f"{leg}_foot").id for leg in LEGS]
     mass, com = state.mass - model.body_mass, state.com - model.body_ipos
     friction = state.friction[..., 0] - model.geom_friction[:, 0]
