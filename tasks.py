@@ -138,9 +138,9 @@ class Task(NamedTuple):
 
 
 # Alpha has one clock (D38). The paper's step 0.01 and momentum 0.99 are for runs of 4000 iterations
-# (`velocity`: 10 000). In a run that is k times shorter, alpha's clock runs k times faster: its step
-# is 0.01 k^2, its momentum 1 - 0.01 k. No length is printed for `curriculum`, which has the clock of
-# `flat`. `velocity` has half as many robots (D9).
+# (`velocity`: 10 000). In a run that is k times shorter, alpha's clock runs k times faster: its
+# step is 0.01 k^2, its momentum 1 - 0.01 k. No length is printed for `curriculum`, which has the
+# clock of `flat`. `velocity` has half as many robots (D9).
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
