@@ -15,12 +15,8 @@ from runtime.cli import Refused, tuples
 
 
 def saved(env):
-    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name.
-
-    Arrays are copies, so that the environment may go on before they are written.
-    """
-    rng = np.array(json.dumps(env.rng.bit_generator.state))
-    return {name: x.copy() for name, x in vars(env.state).items()} | dict(rng=rng)
+    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
+    return vars(env.state) | dict(rng=np.array(json.dumps(env.rng.bit_generator.state)))
 
 
 def restore_env(env, arrays):
@@ -31,13 +27,13 @@ def restore_env(env, arrays):
     env.rng.bit_generator.state = json.loads(str(arrays["rng"]))
 
 
-def save(path, state, envs, env_cfg, cfg):
-    """Write the State, the environments and the settings; envs: of each what `saved` returned."""
+def save(path, state, envs, cfg):
+    """Write the State, the environments and the settings."""
     leaves = jax.tree_util.tree_leaves_with_path(state)
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
-        arrays |= {f"env{i}.{name}": x for name, x in env.items()}
-    settings = dict(env=asdict(env_cfg), learner=asdict(cfg), robot=go1.digest())
+        arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
+    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), robot=go1.digest())
     settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
     arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))

@@ -22,7 +22,14 @@ NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 
 
 class Refused(Exception):
-    """What a command cannot do for its user: one line that says why, and what to do."""
+    """What a command cannot do for its user: one line that says why, and what to do.
+
+    status: with which the command ends
+    """
+
+    def __init__(self, line, status=2):
+        super().__init__(line)
+        self.status = status
 
 
 class Parser(argparse.ArgumentParser):
@@ -104,7 +111,7 @@ def complaint(error):
 
 def program(name):
     """Let a main(argv) return 2 after a line on stderr if it is refused, 130 after Ctrl-C, and 1 if
-    who reads what it prints has closed the pipe, as `head` does.
+    what reads its output has closed the pipe, as `head` does.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its
     traceback.
@@ -130,7 +137,7 @@ def program(name):
                 if (line := complaint(error)) is None:
                     raise
                 say(f"{name}: {line}", sys.stderr)
-                return 2
+                return getattr(error, "status", 2)
 
         return guarded
 

@@ -22,7 +22,6 @@ time_s, steps_per_s            since this process began: seconds, and control st
 import os
 import sys
 import time
-from contextlib import suppress
 
 import numpy as np
 
@@ -36,65 +35,44 @@ class Log:
     """metrics.csv, which grows by a row in each iteration, and the line on the console."""
 
     def __init__(self, folder, done, iterations):
-        """done: iterations of the checkpoint."""
+        """done: iterations of the checkpoint. Later rows are dropped: they are computed again."""
         self.path = folder / "metrics.csv"
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
         self.first, self.shown_at = None, -EVERY
-        self.begun, self.unwritten = False, ""  # rows that wait for the file
-
-    def begin(self, header):
-        """Keep the rows up to the checkpoint. What was written after it will be computed again.
-
-        A copy of a folder in which something trained may lack rows, or have half a row at its end.
-        """
-        text = self.path.read_bytes() if self.done and self.path.exists() else b""
-        first, *lines = text[: text.rfind(b"\n") + 1].split() or [header]
-        if first != header:
-            raise Refused(f"{self.path} has other columns than this code: move it away")
-        with run_folder.reading(self.path):
-            rows = {int(line.split(b",")[0]): line for line in lines}
-        rows = [rows[i] for i in range(1, self.done + 1) if i in rows]
-        if len(rows) < self.done:
-            warn(
-                f"{self.path} lacks {self.done - len(rows)} rows of {self.done}: it goes on without"
-            )
-        data = b"".join(line + b"\n" for line in [header, *rows])
-        run_folder.replace_file(self.path, lambda file: file.write(data))
+        self.lines = rows_until(done, self.path)  # of the whole file, from its header on
+        self.written = 0  # of these lines; 0: the file is not ours yet, or it could not be written
 
     def add(self, iteration, metrics):
-        """Take one row, show it, and write it if that can be done now. The clock starts anew with
-        every process.
-        """
+        """Take one row and show it. The clock starts anew with every process."""
         seconds = time.monotonic() - self.start
         rate = metrics["steps"] / iteration * (iteration - self.done) / seconds
         clock = dict(time_s=round(seconds, 2), steps_per_s=round(rate, 1))
         row = dict(iteration=iteration) | metrics | clock
-        self.header = ",".join(row).encode()
-        self.unwritten += ",".join(map(str, row.values())) + "\n"
+        header = ",".join(row)
+        self.lines = self.lines or [header]
+        if self.lines[0] != header:
+            raise Refused(f"{self.path} has other columns than this code: move it away")
+        self.lines.append(",".join(map(str, row.values())))
         self.show(row)
 
     def write(self):
-        """Write the rows that are not written yet."""
-        if not self.unwritten:
-            return
-        if self.begun and not self.path.exists():
-            warn(f"{self.path} is gone, with its rows: it begins anew")
-            self.begun = False
-        if not self.begun:
-            self.begin(self.header)
-            self.begun = True
-        size = self.path.stat().st_size
-        try:
-            with open(self.path, "ab") as file:
-                file.write(self.unwritten.encode())
+        """Append the rows that are not written yet, or after a failure write the whole file anew.
+
+        They are on the disk before a checkpoint follows.
+        """
+        whole = self.written == 0
+        data = "\n".join([*self.lines[self.written :], ""]).encode()
+        self.written = 0
+        if whole:
+            run_folder.replace_file(self.path, lambda file: file.write(data))
+        else:
+            with open(self.path, "rb+") as file:  # which makes none anew, without a header
+                file.seek(0, os.SEEK_END)
+                file.write(data)
                 file.flush()
-                os.fsync(file.fileno())  # they are on the disk before a checkpoint follows
-        except OSError:
-            with suppress(OSError):  # half a row shall not stay
-                os.truncate(self.path, size)
-            raise
-        self.unwritten = ""
+                os.fsync(file.fileno())
+        self.written = len(self.lines)
 
     def show(self, row):
         """Print a row: on a terminal each one, elsewhere the first, the last, one every 30 s."""
@@ -105,6 +83,20 @@ class Log:
         elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + EVERY:
             say(line)
             self.shown_at = row["time_s"]
+
+
+def rows_until(done, path):
+    """The lines of a metrics.csv up to iteration `done`, and its header first; [] if it has none.
+
+    Whatever else stands there, such as half a row at its end, is left out.
+    """
+    if not done or not path.exists():
+        return []
+    with run_folder.reading(path):
+        header, *lines = path.read_text().splitlines() or [""]
+        whole = [line for line in lines if line.count(",") == header.count(",")]
+        rows = {int(line.split(",")[0]): line for line in whole}
+    return [header, *(rows[i] for i in sorted(rows) if i <= done)] if header else []
 
 
 def console_line(row, first, iterations):
@@ -151,6 +143,13 @@ PANELS = dict(
 
 def draw_curves(folder):
     """Draw curves.png: the most telling columns of metrics.csv over environment steps."""
+    try:
+        _draw_curves(folder)
+    except Exception as error:  # a picture is not worth a run
+        warn(f"no picture of {folder}: {error!r}")
+
+
+def _draw_curves(folder):
     os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid in a process of its own
     from matplotlib.figure import Figure  # here, because it is slow to import
 

@@ -128,18 +128,28 @@ def starts(folder):
         return [*json.loads(path.read_text())["starts"]]
 
 
-def save_config(folder, env_cfg, cfg, typed, numerics, earlier=()):
-    """Write config.json: both Configs, and one more entry about this start.
+def record(env_cfg, cfg, command, numerics, earlier=()):
+    """What config.json says: both Configs, and one more entry about this start.
 
-    typed: words of the command line; numerics: of `jax_setup`; earlier: entries of earlier starts
+    command: its words; numerics: of `jax_setup`; earlier: entries of earlier starts
     """
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
     versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
-    about = dict(command=shlex.join(typed), commit=commit(), machine=machine, versions=versions)
+    about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
     about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=numerics["device"], jax=numerics)
-    config = dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, about])
-    text = json.dumps(config, indent=1) + "\n"
+    return dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, about])
+
+
+def save_config(folder, about):
+    """Write config.json; about: what `record` returned."""
+    text = json.dumps(about, indent=1) + "\n"
     replace_file(folder / "config.json", lambda file: file.write(text.encode()))
+
+
+def script(name):
+    """How one calls a script of this project from here: by its name, or by the way to it."""
+    path = Path(__file__).parents[1] / name
+    return name if path.parent == Path.cwd() else str(path)
 
 
 # ---- policy.npz ----

@@ -227,7 +227,7 @@ def make_run(folder, task="flat", **learner):
     env = go1_env.Go1Env(1, env_cfg, 1)
     pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, dict(reward=1.0, cost=1.0), cfg)
     folder.mkdir(exist_ok=True)
-    run_folder.save_config(folder, env_cfg, cfg, [], dict(device="cpu"))
+    run_folder.save_config(folder, run_folder.record(env_cfg, cfg, [], dict(device="cpu")))
     run_folder.save_policy(folder / "policy.npz", pi.params, env_cfg)
     return folder
 

@@ -941,18 +941,18 @@ def test_what_the_grid_had_reached_is_kept(short):
     envs = [go1_env.Go1Env(1, env_cfg, 1) for _ in range(2)]
     state = eipo.init_state(envs, cfg)
     envs[0].commands.weights[4, 20] = 0.4
-    path, saved = folder / "checkpoint.npz", [checkpoint.saved(env) for env in envs]
+    path = folder / "checkpoint.npz"
     to = ["--results", "kept", "--episodes", "1"]
 
-    def reached(iteration, envs=saved):
-        checkpoint.save(path, state._replace(iteration=iteration), envs, env_cfg, cfg)
+    def reached(iteration, envs=envs):
+        checkpoint.save(path, state._replace(iteration=iteration), envs, cfg)
         assert main(["add", str(folder), *to]) == 0
         return tables.runs(["kept/curriculum/r"])[0].reached
 
     cells = reached(35)
     assert len(cells["v_x"]) == 17  # 4 x 4 cells of 0.5 m/s and 0.5 rad/s, and one more
     assert [x[-1] for x in (cells["v_x"], cells["yaw"], cells["weight"])] == [1.25, 0.25, 0.4]
-    assert reached(36) == {} and reached(35, []) == {}
+    assert reached(36) == {}
     path.unlink()
     assert main(["add", str(folder), *to]) == 0
     assert tables.runs(["kept/curriculum/r"])[0].reached == {}

@@ -14,7 +14,7 @@ import rewards
 import tasks
 import terrain
 import train
-from runtime import flags
+from runtime import flags, start
 from runtime.cli import Refused
 from runtime.flags import Options, parse, settle
 
@@ -331,7 +331,8 @@ SOUND = """
 
 def test_a_run_that_goes_on_is_checked_as_well(capsys, monkeypatch):
     was = tasks.Config(), eipo.Config(gamma=1.5), None, None
-    monkeypatch.setattr(train, "resumed_settings", lambda *_: was)
+    monkeypatch.setattr(start.checkpoint, "load_settings", lambda *_: was)
+    monkeypatch.setattr(start.run_folder, "starts", lambda *_: [])
     assert "--gamma is 1.5" in error_of(capsys, train.main, "--resume")
     assert "--threads is 0" in error_of(capsys, train.main, "--resume", "--threads", "0")
 
@@ -373,7 +374,7 @@ def test_a_ground_of_any_cells_is_as_rough_as_asked(cells_per_m):
 )
 def test_a_run_is_named_by_what_it_trains(given, name):
     options, *settings = parse(given.split())
-    assert train.run_path(Options(**options), *settle(*settings)) == Path("runs") / name
+    assert start.run_path(Options(**options), *settle(*settings)) == Path("runs") / name
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""How a run starts, or goes on: its folder and its settings, checked before anything is written."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from runtime import checkpoint, jax_setup, run_folder
+from runtime.cli import Refused, warn
+from runtime.flags import check, settle
+
+
+def begin(options, given_env, given_learner):
+    """The folder, tasks.Config and eipo.Config of a run that may start, or with --resume go on.
+
+    options: flags.Options; given_env, given_learner: the fields that the command line sets.
+    Raises Refused if it may not.
+    """
+    settings = settle(given_env, given_learner)
+    folder = run_path(options, *settings)
+    if options.resume:
+        return folder, *resumed(folder, options, given_env | given_learner)
+    return folder, *started(folder, options, *settings)
+
+
+def started(folder, options, env_cfg, cfg):
+    """Both Configs of a new run, after all checks; JAX has one thread for each core."""
+    refuse_used(folder)
+    check(options, env_cfg, cfg)
+    jax_setup.set_threads(None)
+    jax_setup.numerics()  # refuses if there is no device
+    return env_cfg, cfg
+
+
+def resumed(folder, options, given):
+    """Both Configs of the run in folder, with more iterations if given; JAX is set up as it was.
+
+    given: the settings that the command line names, which must be the run's
+    """
+    env_cfg, cfg, jax_threads, began = checkpoint.load_settings(folder / "checkpoint.npz")
+    run_folder.starts(folder)  # refuses a config.json to which nothing can be added
+    settings = asdict(env_cfg) | asdict(cfg)
+    for name, x in given.items():
+        if x != settings[name] and not (name == "iterations" and x > settings[name]):
+            what = f"{folder} runs with --{name.replace('_', '-')} {settings[name]}"
+            raise Refused(f"{what}: --resume can only raise iterations")
+    cfg = replace(cfg, iterations=given.get("iterations", cfg.iterations))
+    check(options, env_cfg, cfg)
+    jax_setup.set_threads(jax_threads)
+    now = jax_setup.numerics()
+    changed = {x: was for x, was in (dict(threads=jax_threads) | began).items() if was != now[x]}
+    if changed:
+        other = ", ".join(f"{x} {was} and not {now[x]}" for x, was in changed.items())
+        warn(f"{folder} began with {other}: last digits will differ")
+    return env_cfg, cfg
+
+
+def run_path(options, env_cfg, cfg):
+    """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
+    variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
+    name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
+    if options.out == "":  # a script's variable that is not set
+        raise Refused("--out is empty: name a folder, or leave it out")
+    return Path(options.out or f"runs/{name}")
+
+
+def refuse_used(folder):
+    """Refuse a folder that already holds a run, unless it is to go on."""
+    if found := [name for name in run_folder.FILES if (folder / name).exists()]:
+        again = "--resume it, or " * ("checkpoint.npz" in found)
+        raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
