@@ -83,11 +83,13 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout. All of it has the factor reward_scale (D10).
 
-    The last axis is r and f for pi, and r alone for pi_prime and for PPO(0), which know no f.
+    There is one for each head of the critic: r and f for pi, and r alone for pi_prime and PPO(0).
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
     target: jax.Array  # (T, N, K) TD(gae_lambda) returns of r and lam f, for the critic
+    # (K,) the share of each target's variance that the critic had foreseen: 1 is all of it, 0 none
+    explained_variance: jax.Array
 
 
 # ---- Algorithm 1 ----
@@ -114,18 +116,22 @@ def eipo(env, env_prime, cfg, state=None):
         tau_prime, log_prime = rollout(env_prime, pi_prime, key_prime, cfg)  # Alg.1 L7
 
         est = estimate(pi, tau, cfg)  # of r and f, which line 8 weighs
-        advantage = mix(est.advantage, dual.alpha, 1)  # Alg.1 L8
+        advantage = mix(est.advantage, (dual.alpha, -1))  # Alg.1 L8
         pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)  # Alg.1 L9
 
         est_prime = estimate(pi_prime, tau_prime, cfg)  # Alg.1 L10
-        advantage_prime = est_prime.advantage[..., 0]  # of r alone
+        advantage_prime = mix(est_prime.advantage, (1,))  # of r alone
         pi_prime, losses_prime = ppo_update(  # Alg.1 L11
             pi_prime, tau_prime, est_prime.target, advantage_prime, key_update_prime, cfg
         )
 
         # of the policies that made tau and tau_prime, before lines 9 and 11
         gap = float(estimate_J(est) - estimate_J(est_prime))  # Alg.1 L12
-        metrics = summary(est, dual.alpha, 1, log | losses, log_prime | losses_prime, gap)
+        metrics = summary(est, log | losses) | dict(
+            task_share=task_share(est.advantage, (dual.alpha, -1)), alpha=dual.alpha, gap=gap
+        )
+        logged_prime = summary(est_prime, log_prime | losses_prime)
+        metrics |= {f"prime_{name}": x for name, x in logged_prime.items()}
         dual = step_alpha(dual, gap, cfg)  # Alg.1 L13
         yield State(iteration, state.key, pi, pi_prime, dual), metrics
     # Alg.1 L14  end for
@@ -139,9 +145,11 @@ def ppo(env, cfg, state=None):
         key, _, key_update, _ = iteration_keys(state.key, iteration)
         tau, log = rollout(env, pi, key, cfg)
         est = estimate(pi, tau, cfg)
-        advantage = mix(est.advantage, 1, cfg.lam) if cfg.lam else est.advantage[..., 0]
+        weights = (1, -cfg.lam)[: len(pi.heads)]
+        advantage = mix(est.advantage, weights)
         pi, losses = ppo_update(pi, tau, est.target, advantage, key_update, cfg)
-        metrics = summary(est, 1, cfg.lam, log | losses)
+        share = task_share(est.advantage, weights)
+        metrics = summary(est, log | losses) | dict(task_share=share)
         yield State(iteration, state.key, pi, None, None), metrics
 
 
@@ -150,20 +158,20 @@ def iteration_keys(key, iteration):
     return jax.random.split(jax.random.fold_in(key, iteration), 4)
 
 
-def summary(est, task_weight, cost_weight, logged, logged_prime=None, gap=None):
-    """Metrics of an iteration: J(pi), the task's share of pi's objective, and what was logged.
+def summary(est, logged):
+    """Metrics of a policy in an iteration: J, how well its critic foresaw, and what was logged."""
+    names = "explained_variance", "explained_variance_cost"
+    explained = zip(names, est.explained_variance, strict=False)
+    return dict(J=estimate_J(est)) | dict(explained) | logged
 
-    The share is std(alpha A_r) / (std(alpha A_r) + std(A_f)), with weights as in `mix`. Near 1 the
-    cost has no say. EIPO adds alpha, the gap, and what was logged of pi_prime, as "prime_...".
+
+def task_share(advantage, weights):
+    """The task's share of pi's objective: std(alpha A_r) / (std(alpha A_r) + std(A_f)).
+
+    Near 1 the cost has no say. advantage, weights: as in `mix`
     """
-    # PPO(0) has one column, of the task; its second weight is 0, so the share is 1
-    weighted = est.advantage.std((0, 1)) * jnp.array([task_weight, cost_weight])
-    share = weighted[0] / (weighted.sum() + 1e-30)
-    metrics = dict(J=estimate_J(est), task_share=share)
-    if logged_prime:
-        metrics |= dict(alpha=task_weight, gap=gap)
-        logged = logged | {f"prime_{name}": x for name, x in logged_prime.items()}
-    return metrics | logged
+    weighted = advantage.std((0, 1)) * abs(jnp.array(weights))
+    return weighted[0] / (weighted.sum() + 1e-30)
 
 
 # ---- L3, L4: the start ----
@@ -179,8 +187,8 @@ def init_state(envs, cfg, init=init_params):
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime: none comes twice
     # the critic learns lam f, which is not far above r (D6); PPO(0) knows no f
-    streams = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
-    pi = init_learner(rng, envs[0], streams, cfg, init)
+    heads = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
+    pi = init_learner(rng, envs[0], heads, cfg, init)
     if len(envs) == 1:
         return State(0, key, pi, None, None)
     envs[1].reset(2 * cfg.seed + 1)
@@ -200,7 +208,7 @@ def act(learner, obs, key, t):
 def rollout(env, learner, key, cfg):
     """T steps of every robot from where it is: a Transition of (T, N, ...) arrays, and the log.
 
-    log: means over steps and robots of r, f and the numbers that the environment logs
+    log: means over steps and robots of r, f and the numbers that the environment logs, without NaN
     """
     steps = []
     logs = []
@@ -225,7 +233,13 @@ def rollout(env, learner, key, cfg):
         obs, privileged = following, info["privileged"]
         logs.append(dict(reward=reward, cost=info["cost"]) | info["log"])
     tau = Transition(*map(np.stack, zip(*steps, strict=True)))
-    return tau, {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
+    return tau, {name: mean([log[name] for log in logs]) for name in logs[0]}
+
+
+def mean(x):
+    """The mean of the numbers of x that are known, and NaN if none is."""
+    known = np.ravel(x)[~np.isnan(np.ravel(x))]
+    return float(known.mean()) if known.size else np.nan
 
 
 # ---- L8, L10, L12: estimates ----
@@ -240,14 +254,16 @@ def estimate(learner, tau, cfg):
     """
     values = value(learner.params, tau.obs, tau.privileged)
     next_values = value(learner.params, tau.next_obs, tau.next_privileged)
-    r_and_f = jnp.stack([getattr(tau, name) for name, _ in learner.streams], -1)
-    factors = jnp.array([factor for _, factor in learner.streams])
+    r_and_f = jnp.stack([getattr(tau, name) for name, _ in learner.heads], -1)
+    factors = jnp.array([factor for _, factor in learner.heads])
     earned = cfg.reward_scale * factors * r_and_f
     ends = tau.terminated[..., None], tau.truncated[..., None]
     advantage = gae(earned, values, next_values, *ends, cfg.gamma, cfg.gae_lambda)
+    target = advantage + values
+    explained = 1 - advantage.var((0, 1)) / (target.var((0, 1)) + 1e-30)
     # The critic learns r and lam f, which are of moderate size. Line 8 mixes r and f, so factors
     # are taken out again, but not reward_scale, which both have.
-    return Estimate(advantage=advantage / factors, target=advantage + values)
+    return Estimate(advantage / factors, target, explained)
 
 
 def gae(reward, values, next_values, terminated, truncated, gamma, gae_lambda):
@@ -271,13 +287,13 @@ def gae(reward, values, next_values, terminated, truncated, gamma, gae_lambda):
     return jax.lax.scan(backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True)[1]
 
 
-def mix(advantage, task_weight, cost_weight):
-    """Advantage (T, N) of J and F with these weights. Line 8.
+def mix(advantage, weights):
+    """Advantage (T, N) of the sum of what the critic's heads are of, with these weights. Line 8.
 
-    advantage: (T, N, 2) of r and of f
-    The weights are alpha and 1 in Eq. (4), and 1 and lambda in Eq. (2).
+    advantage: (T, N, K) of r and, for pi, of f
+    weights:   K numbers: (alpha, -1) in Eq. (4), (1, -lambda) in Eq. (2), (1,) for r alone
     """
-    return task_weight * advantage[..., 0] - cost_weight * advantage[..., 1]
+    return sum(weight * advantage[..., k] for k, weight in enumerate(weights))
 
 
 def estimate_J(est):

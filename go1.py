@@ -8,8 +8,6 @@ was applied.
 """
 
 import functools
-import hashlib
-from itertools import count, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,10 +48,6 @@ STALL_TORQUE = 33.0  # N m, Section V-D
 # ---- the model ----
 
 
-class OtherRobot(ValueError):
-    """go1.xml does not hold the robot of this file: one line that says where they differ."""
-
-
 @functools.cache
 def _read(path):
     # A process reads go1.xml once, as it does this file: an edit does not reach a run on its way.
@@ -66,15 +60,12 @@ def build_model(timestep, ground, looks=True):
     ground: heights (ny, nx) [m] as terrain.make_ground returns them, or None for a plane
     looks: keep the geoms that touch nothing and are only drawn. Physics without them is the same to
         the bit, and 10 % faster.
-    Raises OtherRobot if go1.xml and this file differ.
     """
     spec = _read(MODEL).copy()
     spec.option.timestep = timestep
     spec.compiler.discardvisual = not looks
-    model = spec.compile()
-    _refuse_another(model)
     if ground is None:
-        return model
+        return spec.compile()
     low, high = ground.min(), ground.max()
     half = (np.array(ground.shape)[::-1] - 1) * terrain.SPACING / 2  # x, y
     spec.add_hfield(
@@ -94,87 +85,6 @@ def build_model(timestep, ground, looks=True):
     floor.hfieldname = "ground"
     floor.pos = [*half, low]
     return spec.compile()
-
-
-def _refuse_another(model):
-    """Raise OtherRobot if go1.xml, of which the model is, and this file differ."""
-    for what, parts, found, wanted in _compared(model):
-        names = isinstance(wanted, list)
-        both = zip_longest(found, wanted, fillvalue="missing")
-        for part, (x, y) in zip(parts, both, strict=False):
-            if x != y if names else np.abs(x - y).max() > 1e-3:
-                x, y = (z if names else np.round(z, 4).tolist() for z in (x, y))
-                raise OtherRobot(f"{what} {part} is {x} in {MODEL.name} and {y} in go1.py")
-
-
-def _of_legs(*parts):
-    return [f"{leg}_{part}" for leg in LEGS for part in parts]
-
-
-def _compared(model):
-    """What go1.xml and this file both hold: (what, of which parts, there, here).
-
-    Names come first and are lists: the arrays of numbers after them are of parts in this order.
-    """
-    name, obj = functools.partial(mujoco.mj_id2name, model), mujoco.mjtObj
-    joints = [f"{part}_joint" for part in _of_legs("hip", "thigh", "calf")]
-    found = [name(obj.mjOBJ_JOINT, i) for i in range(model.njnt)]
-    yield "joint", count(), found, ["root", *joints]
-    found = [name(obj.mjOBJ_JOINT, i) for i in model.actuator_trnid[:, 0]]
-    yield "the joint of motor", count(), found, joints
-
-    # A foot is fixed to the body of its calf, so these two are known by their geoms.
-    felt = ["trunk", *_of_legs("hip", "thigh")]
-    kinds = [obj.mjOBJ_BODY] * len(felt) + [obj.mjOBJ_GEOM] * 8
-    felt += [f"{leg}_{part}" for part in ("calf", "foot") for leg in LEGS]
-    objects = zip(model.sensor_objtype, model.sensor_objid, model.sensor_refid, strict=True)
-    found = [f"of {name(kind, i)} and {name(obj.mjOBJ_GEOM, j)}" for kind, i, j in objects]
-    found = [f"{name(obj.mjOBJ_SENSOR, i)} {of}" for i, of in enumerate(found)]
-    yield "sensor", count(), found, [f"{part}_contact of {part} and floor" for part in felt]
-    found = [model.sensor_type, model.sensor_objtype, model.sensor_reftype]
-    wanted = [[mujoco.mjtSensor.mjSENS_CONTACT, kind, obj.mjOBJ_GEOM, 1, 1] for kind in kinds]
-    what = "type, objtype, reftype, data (found: 1) and num of sensor"
-    yield what, felt, np.c_[*found, model.sensor_intprm[:, [0, 2]]], np.array(wanted, int)
-
-    found = np.c_[model.dof_damping[6:], model.dof_frictionloss[6:], model.jnt_stiffness[1:]]
-    yield "damping, frictionloss and stiffness of", joints, found, np.zeros((12, 3))
-    found = [model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]]
-    found = np.c_[*found, model.actuator_biastype, model.actuator_dyntype]
-    motor = np.tile([1, 1, 0, 0], (12, 1))  # whose ctrl is the joint's torque
-    yield "gain, gear, biastype and dyntype of the motor of", joints, found, motor
-    limits = np.c_[-TORQUE_LIMIT, TORQUE_LIMIT]
-    for limited, found in (  # ours has none, but these would be in force too
-        (model.actuator_ctrllimited, model.actuator_ctrlrange),
-        (model.actuator_forcelimited, model.actuator_forcerange),
-        (model.jnt_actfrclimited[1:], model.jnt_actfrcrange[1:]),
-    ):
-        yield "TORQUE_LIMIT [N m] of", joints, np.where(limited[:, None], found, limits), limits
-    found = np.c_[model.jnt_limited[1:], Q_NOMINAL.clip(*model.jnt_range[1:].T)]
-    yield "limited, and Q_NOMINAL in the range, of", joints, found, np.c_[np.ones(12), Q_NOMINAL]
-
-    feet = model.sensor_objid[FEET]
-    found = model.geom_rbound[feet]  # of a ball its radius, of others that of a ball around them
-    yield "FOOT_RADIUS [m] of", _of_legs("foot"), found, np.full(4, FOOT_RADIUS)
-    data = mujoco.MjData(model)
-    for scale in (0, 1, -1):
-        data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *scale * Q_NOMINAL]
-        mujoco.mj_kinematics(model, data)
-        found = np.stack([data.xanchor[3::3], data.geom_xpos[feet]], 1).reshape(8, 3)
-        what = f"at {scale} * Q_NOMINAL the place [m] of"
-        yield what, _of_legs("knee", "foot"), found, leg_points(scale * Q_NOMINAL)
-
-
-def digest():
-    """Twelve hexadecimal digits that tell this robot from others, whatever their file is called:
-    of lengths, masses, inertias, limits and gains.
-    """
-    model = build_model(timestep=0.005, ground=None)
-    numbers = [model.body_pos[2:], model.body_mass, model.body_ipos, model.body_inertia]
-    numbers += [model.jnt_range, model.dof_armature, FOOT_RADIUS, Q_NOMINAL, ACTION_SCALE, KP, KD]
-    numbers += [TORQUE_LIMIT, VELOCITY_LIMIT, STALL_TORQUE]
-    # MuJoCo computes some, and its versions may differ in the last digits; + 0 makes -0 a 0
-    rounded = np.concatenate([np.ravel(x) for x in numbers]).round(9) + 0.0
-    return hashlib.sha256(rounded.tobytes()).hexdigest()[:12]
 
 
 # ---- kinematics ----

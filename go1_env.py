@@ -152,6 +152,8 @@ class Go1Env:
             off_ground=np.ones((n, 4), np.int64),
             command=np.zeros((n, 3)),  # m/s, m/s, rad/s
             kernels=np.zeros((n, 2)),  # sums of the kernels of Eq. (8) since the command was drawn
+            planned=np.ones(n),  # control steps for which the command is to last
+            episode_return=np.zeros(n),  # sum of the episode's rewards so far
             command_weights=self.commands.weights,
         )
 
@@ -162,13 +164,17 @@ class Go1Env:
         """
         self.rng = np.random.default_rng(seed)
         self.commands.start()
+        everybody = np.arange(self.num_envs)
         self.state.kernels[:] = 0.0  # nothing from before the reset is credited
-        self._start(np.arange(self.num_envs))
+        self._start(everybody)
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
-            # who starts within a stretch has its command for a part of it only: never a success
-            self.state.kernels[self.state.age % self.env_cfg.command_steps > 0] = -np.inf
-            self._observe_first(np.arange(self.num_envs))  # again, because the clock shows the age
+            begun = self.state.age > 0
+            self.state.episode_return[begun] = np.nan  # some of which nobody has seen
+            self._plan(everybody)
+            # a command of which a part is over already can never be a success
+            self.state.planned[self.state.age % self.env_cfg.command_steps > 0] = np.inf
+            self._observe_first(everybody)  # again, because the clock shows the age
         return self.observe()[0], {}
 
     def observe(self):
@@ -191,16 +197,21 @@ class Go1Env:
         state.action[:] = np.clip(action, -limit, limit)
         substeps = self._simulate(go1.Q_NOMINAL + go1.ACTION_SCALE * state.action)
         motion = go1.motion(self.qpos, self.qvel)
-        state.age += 1
-
-        outcome = self._outcome(substeps, motion, action_before)
+        moved = motion.planar  # what a command asks for: v_x, v_y, yaw rate
+        if self.env_cfg.velocity_frame == "body":  # D25: in the trunk's frame, which may be tilted
+            moved = np.column_stack([motion.linear[:, :2], motion.rates[:, 2]])
+        outcome = self._outcome(substeps, motion, moved, action_before)
         diverged = self._diverged()
         if diverged.any():
             state.action[diverged] = 0.0  # the action may be what was not finite
             outcome = Outcome(*(np.where(diverged, *x) for x in zip(NOTHING, outcome, strict=True)))
+        self._count(moved, outcome)
         terminated = diverged | outcome.fell | outcome.overload
         truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
+        ended = (terminated | truncated) & ~np.isnan(state.episode_return)
         log = self._log(motion, outcome) | dict(
+            episode_return=np.where(ended, state.episode_return, np.nan),
+            episode_length=np.where(ended, state.age, np.nan),
             ended_fall=outcome.fell,
             ended_diverged=diverged,
             ended_limit=truncated,  # of time
@@ -246,24 +257,27 @@ class Go1Env:
             qds.append(self.qvel[:, 6:].copy())  # nothing limits the speed (D7)
         return Substeps(np.array(torques), np.array(qds), touched)
 
-    def _outcome(self, substeps, motion, action_before):
-        """The Outcome of a control step. It also counts in state.kernels if commands learn, and in
-        state.off_ground if the reward is the shaped one.
-        """
-        state, env_cfg = self.state, self.env_cfg
-        moved = motion.planar  # what a command asks for: v_x, v_y, yaw rate
-        if env_cfg.velocity_frame == "body":  # D25
-            moved = np.column_stack([motion.linear[:, :2], motion.rates[:, 2]])
-        reward = task_reward = self.task.reward(moved, state.command)  # Eqs. (5) to (8)
-        if self.commands.learns:
-            state.kernels += np.column_stack(rewards.kernels(moved, state.command))
-        if env_cfg.reward == "shaped":
+    def _outcome(self, substeps, motion, moved, action_before):
+        """The Outcome of a control step; moved: (N, 3) v_x, v_y [m/s] and yaw rate [rad/s]."""
+        reward = task_reward = self.task.reward(moved, self.state.command)  # Eqs. (5) to (8)
+        if self.env_cfg.reward == "shaped":
             reward = self._shaped_reward(moved, motion, substeps, action_before)
         power, cost = self._power_and_cost(substeps)
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
         fell = substeps.touched[:, forbidden].any(-1)  # however lightly it touches
-        max_power = np.inf if env_cfg.max_power is None else env_cfg.max_power
+        max_power = np.inf if self.env_cfg.max_power is None else self.env_cfg.max_power
         return Outcome(reward, task_reward, cost, power, fell, (power > max_power) & ~fell)
+
+    def _count(self, moved, outcome):
+        """Count this control step in all that is counted or summed over steps."""
+        state = self.state
+        state.age += 1
+        state.episode_return += outcome.reward
+        if self.commands.learns:
+            state.kernels += np.column_stack(rewards.kernels(moved, state.command))
+        if self.env_cfg.reward == "shaped":
+            on_ground = self.contacts[:, go1.FEET] > 0
+            state.off_ground[:] = np.where(on_ground, 0, state.off_ground + 1)
 
     def _diverged(self):
         """Which robots have numbers that are not finite, (N,): their episodes end (D36).
@@ -289,11 +303,10 @@ class Go1Env:
         return (substeps.qd[-1] - substeps.qd[0]) / self.period
 
     def _shaped_reward(self, moved, motion, substeps, action_before):
-        """The shaped reward (N,). It also counts how long each foot has been off the ground."""
+        """The shaped reward (N,)."""
         state = self.state
         touch = self.contacts[:, go1.FEET] > 0
         landed = rewards.landings(state.off_ground, touch, self.period)
-        state.off_ground[:] = np.where(touch, 0, state.off_ground + 1)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
         gait = rewards.Gait(
             v_z=motion.linear[:, 2],
@@ -337,18 +350,22 @@ class Go1Env:
         return FRAME_SCALE * (frame + noise)
 
     def _next_command(self, ids):
-        """New commands for the robots `ids`, and a record of how they followed the old ones."""
+        """Record how the robots `ids` followed their commands, and draw new ones.
+
+        A command is judged over the steps planned for it, so what a fall cuts off counts as 0.
+        """
         state = self.state
-        # A command is judged over the steps planned for it, up to the next command or to the limit
-        # of time, so what a fall cuts off counts as 0. A command that came just when an episode
-        # ended has sums of 0.
-        every = self.env_cfg.command_steps
-        begun = np.maximum(state.age[ids] - 1, 0) // every * every
-        planned = np.minimum(every, self.env_cfg.episode_steps - begun)
-        followed = state.kernels[ids] / planned[:, None]
-        self.commands.record(state.command[ids], followed)
+        self.commands.record(state.command[ids], state.kernels[ids] / state.planned[ids, None])
         state.command[ids] = self.commands.draw(self.rng, ids)
         state.kernels[ids] = 0.0
+        self._plan(ids)
+
+    def _plan(self, ids):
+        """Set for how long the commands of the robots `ids` are to last: until the next one or the
+        limit of time. One that came just when time was up lasts for none, and 1 divides its 0.
+        """
+        left = self.env_cfg.episode_steps - self.state.age[ids]
+        self.state.planned[ids] = np.clip(left, 1, self.env_cfg.command_steps)
 
     # ---- new episodes ----
 
@@ -360,8 +377,9 @@ class Go1Env:
         state.targets[:, ids] = go1.Q_NOMINAL
         state.action[ids] = 0.0
         state.off_ground[ids] = 1
-        self._next_command(ids)  # before the age is 0: it records how the old one was followed
         state.age[ids] = 0
+        state.episode_return[ids] = 0.0
+        self._next_command(ids)
         self._observe_first(ids)
 
     def _observe_first(self, ids):

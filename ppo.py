@@ -45,21 +45,21 @@ class Learner:
     params: dict  # of the networks, see `networks.py`
     opt_state: tuple  # of `optimizer`
     lr: jax.Array  # () Adam's step size now, one for all three networks
-    # ((name, factor), ...): one head of the critic each, which learns factor * reward or cost
-    streams: tuple = field(metadata=dict(static=True))
+    # ((name, factor), ...): each head of the critic learns factor * reward or factor * cost
+    heads: tuple = field(metadata=dict(static=True))
 
 
-def init_learner(rng, env, streams, cfg, init=init_params):
+def init_learner(rng, env, heads, cfg, init=init_params):
     """A new Learner for an environment, whose networks are random.
 
     rng:     np.random.Generator
-    streams: what it learns from, "reward" and perhaps "cost", with a factor that makes each of
-             moderate size for the critic, which has a head for each
+    heads:   {"reward": factor, perhaps "cost": factor} of the critic; a factor makes what its head
+             learns of moderate size
     init:    `networks.init_params`, or a function with the same signature
     """
-    params = init(rng, env, len(streams), cfg)
+    params = init(rng, env, len(heads), cfg)
     opt_state = jax.jit(optimizer(cfg).init)(params)
-    return Learner(params, opt_state, np.float32(cfg.lr), tuple(streams.items()))
+    return Learner(params, opt_state, np.float32(cfg.lr), tuple(heads.items()))
 
 
 @partial(jax.jit, static_argnames="cfg")
@@ -91,7 +91,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
     losses = {name: x.mean() for name, x in log.items()}
     losses |= dict(skipped=opt_state.total_notfinite, lr=learner.lr)
     lr = adapt_lr(learner.lr, losses["kl"], cfg)
-    return Learner(params, opt_state, lr, learner.streams), losses
+    return Learner(params, opt_state, lr, learner.heads), losses
 
 
 def shuffled(key, size, cfg):
@@ -121,7 +121,9 @@ def ppo_loss(params, batch, cfg):
     estimator_loss = jnp.square(guess - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
     kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new), and is never negative
-    return loss, dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
+    log = dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())
+    clipped = jnp.abs(ratio - 1) > cfg.clip_eps
+    return loss, log | dict(policy_loss=-surrogate, clip_fraction=clipped.mean())
 
 
 def clipped_surrogate(ratio, advantage, clip_eps):

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import eipo
-import go1
-from runtime import jax_setup, run_folder
+from runtime import jax_setup, robot, run_folder
 from runtime.cli import Refused, tuples
 
 
@@ -33,7 +32,7 @@ def save(path, state, envs, cfg):
     arrays = {"state" + jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
-    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), robot=go1.digest())
+    settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), robot=robot.digest())
     settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
     arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
@@ -49,7 +48,7 @@ def load_settings(path):
         env_cfg, cfg = run_folder.read_config(kept["env"]), tuples(kept["learner"])
         cfg = eipo.Config(**cfg)
         began = kept["jax_threads"], kept["jax"]
-    run_folder.refuse_other_robot(path, kept.get("robot"))
+    robot.refuse_other_digest(path, kept.get("robot"))
     return env_cfg, cfg, *began
 
 

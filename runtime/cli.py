@@ -12,8 +12,6 @@ from contextlib import suppress
 from operator import ge, gt, le, lt
 from pathlib import Path
 
-from go1 import OtherRobot
-
 COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # all are False for nan
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # a float still counts these one by one
@@ -105,7 +103,7 @@ def tuples(settings):
 
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
-    expected = isinstance(error, Refused | OtherRobot | OSError | MemoryError)
+    expected = isinstance(error, Refused | OSError | MemoryError)
     return " ".join(str(error).split()) or "out of memory" if expected else None
 
 

@@ -9,10 +9,16 @@ reward, cost                   r [-] and f [W], or [-] for Eq. (11)
 task_reward                    [-] what Eqs. (5) to (8) would pay, where reward is the shaped one
 v_x, command_x                 [m/s] speed ahead, and what was asked for
 power                          [W] Eq. (9) without its bonus
+episode_return                 [-] sum of rewards of the episodes that ended here, nan if none did
+episode_length                 [control steps] of these episodes
 command_area                   mean weight of the grid of commands, 1 if it has grown all over
 ended_fall, ended_diverged,    [1/step] episodes that end by a fall, by numbers that are not
 ended_limit, ended_power       finite, by the limit of time, and by that of power
-value_loss, estimator_loss     of critic and estimator
+explained_variance             share of the variance of returns that the critic foresaw, 1 at best
+explained_variance_cost        the same of its head for the cost
+policy_loss, value_loss,       of actor, critic and estimator
+estimator_loss
+clip_fraction                  share of actions in the update that PPO clips
 kl, std                        how far pi moved in this iteration, and its exploration noise
 lr, skipped                    Adam's step size, and updates skipped so far, as not finite
 prime_...                      the same of pi'
@@ -136,7 +142,7 @@ PANELS = dict(
     ended_fall="falls per robot and step",
     gap="gap J(pi) - J(pi'): alpha rises below 0",
     alpha="alpha, the weight of the task",
-    task_share="task's share of pi's objective",
+    explained_variance="what the critic foresees, of 1",
     std="exploration noise",
 )
 

@@ -30,6 +30,7 @@ import go1
 import go1_env
 import policy
 import tasks
+from runtime import robot
 from runtime.cli import Refused, say, tuples
 
 try:
@@ -155,17 +156,10 @@ def script(name):
 # ---- policy.npz ----
 
 
-def robot():
+def of_the_robot():
     """What a policy has to know of our robot: fields of policy.Policy."""
     scales = dict(frame_scale=go1_env.FRAME_SCALE, action_scale=go1.ACTION_SCALE)
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
-
-
-def refuse_other_robot(path, digest):
-    """Refuse a file of another robot, by its go1.digest. None, as older files have it, is any."""
-    if digest not in (None, ours := go1.digest()):
-        what = "train anew, or restore the go1.xml and go1.py of its time"
-        raise Refused(f"{path} is of another robot, {digest} and not {ours}: {what}")
 
 
 def save_policy(path, params, env_cfg, about=()):
@@ -174,8 +168,8 @@ def save_policy(path, params, env_cfg, about=()):
     about: what it says of its training, by name, as policy.Policy has it
     """
     layers = {net: params[net].layers for net in ("actor", "estimator")}
-    about = dict(about) | dict(robot=go1.digest())
-    pi = policy.Policy(**layers, **robot(), config=asdict(env_cfg), about=about)
+    about = dict(about) | dict(robot=robot.digest())
+    pi = policy.Policy(**layers, **of_the_robot(), config=asdict(env_cfg), about=about)
     replace_file(path, lambda file: policy.save(file, pi))
 
 
@@ -193,11 +187,14 @@ def read_config(settings):
 
 def load_policy(path):
     """The Policy in a policy.npz, and the tasks.Config of its world. Its robot must be ours."""
+    robot.refuse_other_model()
     with reading(path):
         pi = policy.load(path)
-        other = [name for name, x in robot().items() if not np.array_equal(getattr(pi, name), x)]
+        other = [
+            name for name, x in of_the_robot().items() if not np.array_equal(getattr(pi, name), x)
+        ]
         if other:
             raise ValueError(f"its robot has another {', '.join(other)}")
         env_cfg = read_config(pi.config)
-    refuse_other_robot(path, pi.about.pop("robot", None))
+    robot.refuse_other_digest(path, pi.about.pop("robot", None))
     return pi, env_cfg

@@ -3,7 +3,7 @@
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from runtime import checkpoint, jax_setup, run_folder
+from runtime import checkpoint, jax_setup, robot, run_folder
 from runtime.cli import Refused, warn
 from runtime.flags import check, settle
 
@@ -14,6 +14,7 @@ def begin(options, given_env, given_learner):
     options: flags.Options; given_env, given_learner: the fields that the command line sets.
     Raises Refused if it may not.
     """
+    robot.refuse_other_model()
     settings = settle(given_env, given_learner)
     folder = run_path(options, *settings)
     if options.resume:

@@ -224,6 +224,34 @@ def test_first_episodes_are_staggered():
     assert ends.sum(0).tolist() == [1] * 16 and (ends.sum(1) > 0).sum() >= 4
 
 
+def test_return_and_length_of_the_episodes_that_end():
+    """On `velocity` a step pays v_x: 3 steps at 1 m/s are 3 in an episode of 3 steps. The second
+    robot falls in step 2, after 1 and 1. NaN where no episode ends.
+    """
+    env = make(task="velocity", episode_steps=3, **FROZEN)
+    env.contacts, returns, lengths = np.zeros((2, 17)), [], []
+    for step in range(1, 4):
+        place(env, velocity=(1, 0, 0))
+        env.contacts[1] = step == 2
+        log = still(env)[4]["log"]
+        returns.append(log["episode_return"].tolist())
+        lengths.append(log["episode_length"].tolist())
+    nan = float("nan")
+    expected = np.array([[nan, nan], [nan, 2.0], [3.0, nan]])
+    assert np.array(returns) == pytest.approx(expected, nan_ok=True)
+    assert np.array(lengths) == pytest.approx(expected, nan_ok=True)
+
+
+def test_an_episode_that_began_before_the_run_has_no_return():
+    """With random first ages nobody has seen the start of most of the first episodes. Of 16 robots
+    each ends its first one within 8 steps, and its next one 8 steps later.
+    """
+    env = make(16, stagger=True, episode_steps=8)
+    begun = env.state.age > 0
+    ended = np.array([~np.isnan(still(env)[4]["log"]["episode_length"]) for _ in range(16)])
+    assert (ended[:8].sum(0) == ~begun).all() and (ended[8:].sum(0) == 1).all()
+
+
 # ---- what an episode begins with; what it draws of the world is in test_world.py ----
 
 
@@ -371,6 +399,8 @@ def test_divergence_ends_one_episode(poisoned, fields, tmp_path, monkeypatch):
             assert env.state.age.tolist() == [1, 0, 1]
         assert ours[2].tolist() == ours[4]["log"]["ended_diverged"].tolist()
         assert ours[2].tolist() == [False, step == 0, False]
+        for log in (ours[4]["log"], theirs[4]["log"]):
+            del log["episode_return"], log["episode_length"]  # NaN where none ended
         ours, theirs = ([*x[:4], *x[4].pop("log").values(), *x[4].values()] for x in (ours, theirs))
         assert all(np.isfinite(x).all() for x in (*ours, *env.observe()))
         assert same_bits([x[others] for x in ours], [x[others] for x in theirs])

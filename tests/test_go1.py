@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from support import LEGS, TINY, error_of
+from support import LEGS, TINY, error_of, make_run
 
 import evaluate
 import go1
 import play
 import train
-from runtime import checkpoint, run_folder
+from runtime import checkpoint, robot, run_folder
+from runtime.cli import Refused
 
 JOINTS = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
 
@@ -152,7 +153,6 @@ def motor(words, kind="motor"):
 # {name: (what is done to go1.xml, the line that refuses it up to "in go1.xml", the rest)}
 OTHERS = {
     "left legs first": (left_first, "joint 1 is FL_hip_joint", "FR_hip_joint"),
-    "another name": (edited("FR_calf_joint", "FR_knee"), "joint 3 is FR_knee", "FR_calf_joint"),
     "a joint more": (
         edited(' <geom name="RL_foot"', ' <joint name="toe" class="hip"/> <geom name="RL_foot"'),
         "joint 13 is toe",
@@ -163,26 +163,21 @@ OTHERS = {
         "the joint of motor 0 is FR_thigh_joint",
         "FR_hip_joint",
     ),
-    "a motor less": (
-        edited(' <motor name="RL_calf" joint="RL_calf_joint"/>'),
-        "the joint of motor 11 is missing",
-        "RL_calf_joint",
-    ),
     "a position servo": (
         motor('kp="20"', "position"),
         f"{MOTOR_OF} [20.0, 1.0, 1.0, 0.0]",
-        "[1, 1, 0, 0]",
-    ),
-    "a gear": (motor('gear="6.33"'), f"{MOTOR_OF} [1.0, 6.33, 0.0, 0.0]", "[1, 1, 0, 0]"),
-    "a slow motor": (
-        motor('dyntype="filter"', "general"),
-        f"{MOTOR_OF} [1.0, 1.0, 0.0, 2.0]",
         "[1, 1, 0, 0]",
     ),
     "limits of commands": (
         motor('ctrlrange="-23.7 45"'),
         "TORQUE_LIMIT [N m] of FR_hip_joint is [-23.7, 45.0]",
         "[-23.7, 23.7]",
+    ),
+    "a gear": (motor('gear="6.33"'), f"{MOTOR_OF} [1.0, 6.33, 0.0, 0.0]", "[1, 1, 0, 0]"),
+    "a slow motor": (
+        motor('dyntype="filter"', "general"),
+        f"{MOTOR_OF} [1.0, 1.0, 0.0, 2.0]",
+        "[1, 1, 0, 0]",
     ),
     "limits of motors": (
         motor('forcerange="-20 20"'),
@@ -194,11 +189,6 @@ OTHERS = {
         "TORQUE_LIMIT [N m] of FR_calf_joint is [-45.0, 45.0]",
         "[-35.55, 35.55]",
     ),
-    "damping": (
-        edited('damping="0"', 'damping="0.5"'),
-        "damping, frictionloss and stiffness of FR_hip_joint is [0.5, 0.0, 0.0]",
-        "[0.0, 0.0, 0.0]",
-    ),
     "friction": (
         edited('frictionloss="0"', 'frictionloss="0.2"'),
         "damping, frictionloss and stiffness of FR_hip_joint is [0.0, 0.2, 0.0]",
@@ -207,6 +197,11 @@ OTHERS = {
     "springs": (
         edited('frictionloss="0"', 'stiffness="3"'),
         "damping, frictionloss and stiffness of FR_hip_joint is [0.0, 0.0, 3.0]",
+        "[0.0, 0.0, 0.0]",
+    ),
+    "damping": (
+        edited('damping="0"', 'damping="0.5"'),
+        "damping, frictionloss and stiffness of FR_hip_joint is [0.5, 0.0, 0.0]",
         "[0.0, 0.0, 0.0]",
     ),
     "a range without the pose": (
@@ -219,16 +214,6 @@ OTHERS = {
         "limited, and Q_NOMINAL in the range, of FR_hip_joint is [0.0, -0.1]",
         "[1.0, -0.1]",
     ),
-    "no sensors": (
-        lambda xml: re.sub("(?s)<sensor>.*</sensor>", "", xml),
-        "sensor 0 is missing",
-        "trunk_contact of trunk and floor",
-    ),
-    "a sensor less": (
-        edited(TRUNK),
-        "sensor 0 is FR_hip_contact of FR_hip and floor",
-        "trunk_contact of trunk and floor",
-    ),
     "a sensor of another part": (
         edited(CALF, CALF.replace('"FR_calf"', '"FL_calf"')),
         "sensor 9 is FR_calf_contact of FL_calf and floor",
@@ -237,11 +222,6 @@ OTHERS = {
     "a sensor that feels the foot too": (
         edited(CALF, CALF.replace("geom1", "body1")),
         f"{SENSOR_OF} [42, 1, 5, 1, 1]",
-        "[42, 5, 5, 1, 1]",
-    ),
-    "a sensor of distances": (
-        edited(CALF, CALF.replace("found", "dist")),
-        f"{SENSOR_OF} [42, 5, 5, 8, 1]",
         "[42, 5, 5, 1, 1]",
     ),
     "a larger foot": (
@@ -253,16 +233,6 @@ OTHERS = {
         edited(FOOT, FOOT.replace("-0.213", "-0.22")),
         "at 0 * Q_NOMINAL the place [m] of FR_foot is [0.1881, -0.1268, -0.433]",
         "[0.1881, -0.1268, -0.426]",
-    ),
-    "a shorter thigh": (
-        edited('_calf" pos="0 0 -0.213"', '_calf" pos="0 0 -0.21"'),
-        "at 0 * Q_NOMINAL the place [m] of FR_knee is [0.1881, -0.1268, -0.21]",
-        "[0.1881, -0.1268, -0.213]",
-    ),
-    "a longer trunk": (
-        edited('FL_hip" pos="0.1881', 'FL_hip" pos="0.1934'),
-        "at 0 * Q_NOMINAL the place [m] of FL_knee is [0.1934, 0.1268, -0.213]",
-        "[0.1881, 0.1268, -0.213]",
     ),
     "an axis the other way": (
         edited('axis="1 0 0"', 'axis="-1 0 0"'),
@@ -291,33 +261,28 @@ def rewrite(tmp_path, monkeypatch):
 def test_another_robot_is_refused(rewrite, edit, there, here):
     """By the first part that is not that of go1.py."""
     rewrite(edit)
-    with pytest.raises(go1.OtherRobot) as refused:
-        go1.build_model(0.005, None)
+    with pytest.raises(Refused) as refused:
+        robot.refuse_other_model()
     assert str(refused.value) == f"{there} in go1.xml and {here} in go1.py"
-
-
-@pytest.mark.go1
-def test_another_robot_is_refused_on_hills_too(rewrite):
-    """Before the feet, which are found by their names, get their contacts."""
-    rewrite(lambda xml: xml.replace("RL_foot", "RL_paw"))
-    with pytest.raises(go1.OtherRobot, match="RL_paw"):
-        go1.build_model(0.005, np.ones((5, 5)) + np.eye(5))
 
 
 @pytest.mark.go1
 def test_another_robot_is_one_line_and_nothing_is_written(rewrite, tmp_path, capsys):
     """Before it trains, and not after all of its robots fell."""
+    run = make_run(tmp_path / "kept")
     rewrite(edited('damping="0"', 'damping="0.5"'))
     said = error_of(capsys, train.main, "--out", tmp_path / "run", "--num-envs", 4)
     assert "damping" in said and not (tmp_path / "run").exists()
+    for main in (evaluate.main, play.main):
+        assert "damping" in error_of(capsys, main, run)
 
 
 def test_a_process_reads_go1_xml_once(rewrite):
     """A run on its way saves under the digest of the robot that it trains."""
     rewrite(lambda xml: xml)
-    before = go1.digest()
+    before = robot.digest()
     go1.MODEL.write_text("edited meanwhile")
-    assert go1.digest() == before
+    assert robot.digest() == before
 
 
 # ---- the digest ----
@@ -341,10 +306,10 @@ def same(xml):
 @pytest.mark.go1
 def test_digest_of_the_same_robot(rewrite, edit):
     """Neither looks nor names make a robot another one, nor what versions of MuJoCo round."""
-    ours = go1.digest()
+    ours = robot.digest()
     assert re.fullmatch("[0-9a-f]{12}", ours)
     rewrite(edit)
-    assert go1.digest() == ours
+    assert robot.digest() == ours
 
 
 DIFFERENT = {  # what is done to go1.xml, and numbers of go1.py
@@ -368,11 +333,11 @@ DIFFERENT = {  # what is done to go1.xml, and numbers of go1.py
 @pytest.mark.go1
 @pytest.mark.parametrize(("edit", "numbers"), DIFFERENT.values(), ids=DIFFERENT)
 def test_digest_of_another_robot(rewrite, monkeypatch, edit, numbers):
-    ours = go1.digest()
+    ours = robot.digest()
     rewrite(edit)
     for name, x in numbers.items():
         monkeypatch.setattr(go1, name, x)
-    assert go1.digest() != ours
+    assert robot.digest() != ours
 
 
 def test_what_another_robot_trained_is_refused(tmp_path, capsys, monkeypatch):
@@ -383,12 +348,12 @@ def test_what_another_robot_trained_is_refused(tmp_path, capsys, monkeypatch):
     assert train.main([*TINY, "--iterations", "1", "--out", str(run)]) == 0
     old = run_folder.read_npz(run / "checkpoint.npz")
     settings = json.loads(str(old["settings"]))
-    assert settings.pop("robot") == go1.digest()
+    assert settings.pop("robot") == robot.digest()
 
     monkeypatch.setattr(go1, "STALL_TORQUE", go1.STALL_TORQUE + 1)
     for main in (evaluate.main, play.main):
         said = error_of(capsys, main, run)
-        assert f"{run / 'policy.npz'} is of another robot" in said and go1.digest() in said
+        assert f"{run / 'policy.npz'} is of another robot" in said and robot.digest() in said
     said = error_of(capsys, train.main, "--out", run, "--resume")
     assert f"{run / 'checkpoint.npz'} is of another robot" in said
     np.savez(run / "checkpoint.npz", **old | dict(settings=json.dumps(settings)))

@@ -33,6 +33,7 @@ LAYERS = {
     "runtime/cli": set(),
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
+    "runtime/robot": {"numpy", "mujoco"},
     "runtime/run_folder": {"numpy"},
     "evaluate": {"numpy", "scipy"},
     "runtime/viewer": {"numpy", "mujoco", "PIL"},
@@ -41,6 +42,7 @@ LAYERS = {
     "runtime/flags": set(),
     "runtime/checkpoint": {"numpy", "jax"},
     "runtime/metrics": {"numpy", "matplotlib"},
+    "runtime/start": set(),
     "train": set(),
 }
 # what the learner may import of ours: it knows no robot, no file and no process

@@ -13,7 +13,7 @@ import pytest
 from support import EIPO, handmade, learner_of
 
 import eipo
-from eipo import Dual, Estimate, Transition
+from eipo import Dual, Transition
 from results import tables
 
 # line 13 as in Section IV-C.c
@@ -45,8 +45,8 @@ def test_eq02_lambda_objective_and_eq04_at_one_over_lambda():
     The last line is 4 times the one before, so normalised they are equal.
     """
     advantage = np.array([[1.0, 4.0], [2.0, -8.0], [-3.0, 16.0]])
-    assert eipo.mix(advantage, task_weight=1, cost_weight=0.25).tolist() == [0, 4, -7]
-    assert eipo.mix(advantage, task_weight=4, cost_weight=1).tolist() == [0, 16, -28]
+    assert eipo.mix(advantage, (1, -0.25)).tolist() == [0, 4, -7]
+    assert eipo.mix(advantage, (4, -1)).tolist() == [0, 16, -28]
 
 
 @pytest.mark.parametrize(("alpha", "mixed"), [(32.0, 28.0), (0.0, -4.0)])
@@ -54,7 +54,7 @@ def test_eq04_alpha_weighs_the_task(alpha, mixed):
     """pi minimises L = F - alpha (J - max J'), so it maximises alpha J - F (line 8). For A_r = 1
     and A_f = 4 that is 32 - 4 = 28, and 0 - 4 = -4.
     """
-    assert eipo.mix(np.array([1.0, 4.0]), alpha, 1) == mixed
+    assert eipo.mix(np.array([1.0, 4.0]), (alpha, -1)) == mixed
 
 
 def test_eq04_gradient_in_alpha():
@@ -102,28 +102,31 @@ def test_algorithm1_line08_gae_terminated():
     assert gae(ones, ones, next_values, at_1, never, 0.5, 0.5).tolist() == [0.5, 0, 0.5]
 
 
-def estimate_of(obs, reward, terminated, truncated, next_obs, critic=1.0):
+def estimate_of(
+    obs, reward, terminated, truncated, next_obs, critic=(1.0,), cost=0.0, cost_scale=1.0
+):
     """What is estimated from T steps of one environment by a critic that says V = critic * obs."""
 
     def column(x):
         return np.reshape(x, (-1, 1, 1)).astype(np.float32)
 
     zero = column([0] * len(obs))
-    scalars = [np.reshape(x, (-1, 1)) for x in (reward, terminated, truncated)]
-    reward, terminated, truncated = scalars
+    costs = np.zeros(len(obs)) + cost
+    scalars = [np.reshape(x, (-1, 1)) for x in (reward, costs, terminated, truncated)]
+    reward, costs, terminated, truncated = scalars
     tau = Transition(
         obs=column(obs),
         privileged=zero,
         action=zero,
         log_prob=zero[..., 0],
         reward=reward,
-        cost=0 * reward,
+        cost=costs,
         terminated=terminated,
         truncated=truncated,
         next_obs=column(next_obs),
         next_privileged=zero,
     )
-    pi = learner_of(handmade(critic=((critic,), (0.0,))))
+    pi = learner_of(handmade(critic=(critic, [0.0] * len(critic))), cost_scale)
     return eipo.estimate(pi, tau, EIPO)
 
 
@@ -158,7 +161,7 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
     """
     ends = dict(terminated=[True] * 4, truncated=[False] * 4)
     low, high = (
-        estimate_of([0] * 4, reward, **ends, next_obs=[0] * 4, critic=0.0)
+        estimate_of([0] * 4, reward, **ends, next_obs=[0] * 4, critic=(0.0,))
         for reward in ([0, 2, 0, 2], [2, 4, 2, 4])
     )
     assert low.advantage.ravel().tolist() == [0, 2, 0, 2]
@@ -166,20 +169,31 @@ def test_algorithm1_line12_estimate_J_is_not_of_normalised_advantages():
     assert (eipo.estimate_J(low), eipo.estimate_J(high)) == (1, 3)
 
 
-@pytest.mark.parametrize(("task", "cost", "share"), [(6, 1, 0.75), (1, 0.25, 2 / 3), (1, 0, 1)])
-def test_algorithm1_share_of_the_task_in_the_objective(task, cost, share):
+@pytest.mark.parametrize(("weights", "share"), [((6, -1), 0.75), ((1, -0.25), 2 / 3), ((1,), 1)])
+def test_algorithm1_share_of_the_task_in_the_objective(weights, share):
     """A_r = 1, 3 and A_f = 2, -2, with deviations of 1 and 2:
 
     alpha = 6:   6 / (6 + 2)      = 3/4
     lam = 1/4:   1 / (1 + 2 / 4)  = 2/3
     lam = 0:     1
-
-    J is the mean of 1 and 3.
     """
-    advantage = np.array([[[1.0, 2.0]], [[3.0, -2.0]]])
-    target = np.array([[[1.0, 64.0]], [[3.0, 64.0]]])
-    log = eipo.summary(Estimate(advantage, target), task, cost, {})
-    assert log == dict(J=2, task_share=pytest.approx(share))
+    advantage = np.array([[[1.0, 2.0]], [[3.0, -2.0]]])[..., : len(weights)]
+    assert eipo.task_share(advantage, weights) == pytest.approx(share)
+
+
+def test_algorithm1_what_each_head_of_the_critic_foresaw():
+    """Episodes of one step, so a target is what the step pays, and an advantage what V had missed.
+
+    V of obs 1, 3, 1, 3 is 1, 3, 1, 3 at the head of r and 0 at that of f:
+
+    r: 1, 3, 3, 5  misses 0, 0, 2, 2 of variance 1; the targets have (4 + 0 + 0 + 4) / 4 = 2: 1/2
+    f: 2, 2, 6, 6  misses all of it: 0. Times lam = 1/4 both variances change alike.
+    """
+    steps = dict(terminated=[True] * 4, truncated=[False] * 4, next_obs=[0] * 4, cost=[2, 2, 6, 6])
+    est = estimate_of([1, 3, 1, 3], [1, 3, 3, 5], **steps, critic=(1.0, 0.0), cost_scale=0.25)
+    assert est.explained_variance.tolist() == [0.5, 0.0]
+    log = eipo.summary(est, dict(kl=1.0))
+    assert log == dict(J=3, explained_variance=0.5, explained_variance_cost=0.0, kl=1.0)
 
 
 # ---- L13: the multiplier ----

@@ -206,10 +206,10 @@ def test_algorithm1_line03_other_seed_other_start(monkeypatch):
 
 
 def test_what_an_update_logs_stands_under_its_own_policy(monkeypatch):
-    """pi learns from two streams, and pi_prime from one."""
+    """pi's critic has two heads, and pi_prime's one."""
 
     def update(learner, *_):
-        return learner, dict(kl=len(learner.streams))
+        return learner, dict(kl=len(learner.heads))
 
     monkeypatch.setattr(eipo, "ppo_update", update)
     _, metrics = next(eipo.eipo(Probe(one), Probe(one), EIPO))
@@ -325,7 +325,7 @@ def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
 def test_ppo_without_energy_has_a_critic_of_the_task_alone():
     """D44. lam f would be 0."""
     state = eipo.init_state([Probe(one)], replace(EIPO, lam=0.0))
-    assert state.pi.streams == (("reward", 1.0),)
+    assert state.pi.heads == (("reward", 1.0),)
 
 
 @pytest.mark.parametrize("algo, lam", [("eipo", 4.0), ("ppo", 4.0), ("ppo", 0.0)])
@@ -381,7 +381,7 @@ def test_algorithm1_line12_the_gap_is_of_the_policies_before_their_updates(monke
         return learner_of(handmade(weights, np.zeros((2, 1)), np.zeros((3, 1))))
 
     def update(learner, *_):
-        heads = len(learner.streams)
+        heads = len(learner.heads)
         return flat_critic(heads, 64.0 * heads), dict(kl=0.0)
 
     monkeypatch.setattr(eipo, "ppo_update", update)

@@ -299,7 +299,7 @@ def test_policy_npz_is_the_same_policy(init):
     assert {x.dtype.name for layers in whole.values() for x in sum(layers, ())} == {"float32"}
     obs, privileged = env.observe()
     mean, _, estimate = policy(params, obs)
-    pi = Policy(whole["actor"], whole["estimator"], **run_folder.robot(), config={})
+    pi = Policy(whole["actor"], whole["estimator"], **run_folder.of_the_robot(), config={})
     np.testing.assert_allclose(pi.mean(obs), mean, atol=1e-5)
     np.testing.assert_allclose(pi.estimate, estimate, atol=1e-5)
     values = value(params | dict(critic=MLP(whole["critic"])), obs, privileged)
@@ -331,6 +331,8 @@ def test_algorithm1_line09_ppo_loss():
     estimator   (0 - privileged)^2 = 1/2^2      = 0.25
     loss        -1.2 - 0.01 * 1.4189385 + 4.25  = 3.0358106
     KL          1.5 - 1 - log 1.5               = 0.0945349
+
+    All of the batch is clipped.
     """
     then = -0.91893853 - np.log(1.5)  # log density of a normal at its mean, less log 1.5
     batch = dict(obs=1.0, privileged=0.5, action=0.0, target=3.0)
@@ -340,6 +342,7 @@ def test_algorithm1_line09_ppo_loss():
     loss, log = ppo.ppo_loss(pi.params, batch, EIPO)
     assert float(loss) == pytest.approx(3.0358106, rel=1e-6)
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
+    assert float(log["policy_loss"]) == pytest.approx(-1.2) and log["clip_fraction"] == 1.0
 
 
 def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples():
@@ -379,8 +382,8 @@ def one_update(cfg=EIPO, lr=None, log_std=0.0, key=KEY, advantage=None, target=N
     likelier: by which factor (8, 16) the actions are likelier now than when they were taken
     """
     env = SimpleNamespace(obs_size=2, privileged_size=1, action_size=1)
-    streams = dict(reward=1.0, cost=1.0)
-    learner = ppo.init_learner(np.random.default_rng(0), env, streams, EIPO)
+    heads = dict(reward=1.0, cost=1.0)
+    learner = ppo.init_learner(np.random.default_rng(0), env, heads, EIPO)
     learner = replace(learner, lr=np.float32(cfg.lr if lr is None else lr))
     learner.params["log_std"] += np.float32(log_std)
     rng = np.random.default_rng(2)
