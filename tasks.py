@@ -137,6 +137,9 @@ class Task(NamedTuple):
     torque_speed: bool = False
 
 
+LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10), the weights of PPO
+ITERATIONS = dict(flat=4000, rough=4000, velocity=10_000)  # of the paper's runs [V-A], [V-B], [V-D]
+
 # Alpha has one clock (D38). The paper's step 0.01 and momentum 0.99 are for runs of 4000 iterations
 # (`velocity`: 10 000). In a run that is k times shorter, alpha's clock runs k times faster: its
 # step is 0.01 k^2, its momentum 1 - 0.01 k. No length is printed for `curriculum`, which has the
@@ -158,7 +161,11 @@ TASKS = {
         "the same on hills of up to 15 cm",
         reward=rewards.rough,  # Eq. (6)
         commands=lambda: Range(1.0, 0.0, 0.0),  # [IV-A.2]
-        world=dict(history=10, roughness=(0.0, 0.15), cells_per_m=1),  # [V-B], [IV-A.2], [lab code]
+        world=dict(
+            history=10,  # [V-B]
+            roughness=(0.0, 0.15),  # [IV-A.2]
+            cells_per_m=1,  # [lab code]
+        ),
         learner=dict(
             lam=0.0002,  # [V-B]
             iterations=600,  # [ours] of 4000, so k = 6.7
@@ -169,8 +176,11 @@ TASKS = {
     "velocity": Task(
         "run as fast as possible on bumps of 5 cm",
         reward=rewards.max_velocity,  # Eq. (7)
-        commands=lambda: Range(0.0, 0.0, 0.0),
-        world=dict(history=10, roughness=(0.05, 0.05)),  # [V-D], [IV-A.3]
+        commands=lambda: Range(0.0, 0.0, 0.0),  # [IV-C.a]
+        world=dict(
+            history=10,  # [V-D]
+            roughness=(0.05, 0.05),  # [IV-A.3]
+        ),
         learner=dict(
             lam=0.0002,  # [V-D]
             iterations=1000,  # [ours] of 10 000, so k = 10
@@ -186,20 +196,20 @@ TASKS = {
         reward=rewards.curriculum,  # Eq. (8)
         commands=Grid,  # [IV-A.4]
         world=dict(
-            history=5,
+            history=5,  # [ours] that of `flat`
             roughness=(0.0, 0.05),  # [IV-A.4]
             motor_model=True,  # [IV-A.4], D11
-            latency=6,  # [lab code], 30 ms
+            latency=6,  # [lab code] 30 ms
             max_power=800.0,  # [IV-A.4]
             episode_steps=1000,  # [V-A]
-            command_steps=500,  # [lab code], ten seconds
-            # "increased domain randomization" [IV-A.4]; the ranges are the lab's and ours
-            friction=(0.55, 1.25),  # the lab's 0.1 is averaged with its ground's 1
-            payload=(-1.0, 3.0),
-            com=(-0.05, 0.05),
-            motor_strength=(0.9, 1.1),
-            motor_offset=(-0.02, 0.02),
-            gravity=(-1.0, 1.0),
+            command_steps=500,  # [lab code] ten seconds
+            # "increased domain randomization" [IV-A.4], which prints no ranges (D34)
+            friction=(0.55, 1.25),  # [lab code] the lab's 0.1 is averaged with its ground's 1
+            payload=(-1.0, 3.0),  # [lab code]
+            com=(-0.05, 0.05),  # [ours] the lab has 0.1, or none
+            motor_strength=(0.9, 1.1),  # [lab code]
+            motor_offset=(-0.02, 0.02),  # [lab code]
+            gravity=(-1.0, 1.0),  # [lab code]
         ),
         learner=dict(
             lam=0.005,  # [V-E]

@@ -1,167 +1,119 @@
-"""The paper's Figures 2 to 6 and Table I, from kept episodes.
+"""The paper's Figures 2 to 6 and Table I, and two pictures of ours, from the runs that are kept.
 
-Each figure is a function of Runs that returns the rows of its CSV and the picture. Numbers are
-means, or in Table I interquartile means (but for J/m), with two 95 % bootstrap intervals. One
-resamples the episodes of all seeds, as the paper does. The other resamples the seeds, and so shows
-how much trainings differ. With two or three seeds it reaches from the lowest seed to the highest,
-which is less than 95 %.
+Each is a function of Runs that returns the rows of its CSV and the picture. Every run is seen: thin
+lines and small dots are seeds, thick and large ones their means.
 """
 
-import re
 from itertools import cycle
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
+from scipy import stats
 
 import evaluate
-from results import tables
-from results.tables import KINDS, LAMBDAS, by_group, score_of, task_of
+from results.paper import MARGINS, TABLE1, eipo, ppo
+from results.runs import by_group, inside
 from runtime.cli import Refused
+from tasks import LAMBDAS
 
-PEAKS = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37
-TABLE1 = dict(zip(KINDS, PEAKS, strict=True))  # m/s, as printed in Table I
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
-# a number of a CSV, its interval over episodes, and that over seeds
-ENDS = "", "_low", "_high", "_seeds_low", "_seeds_high"
-BOTTOM = dict(flat=1.2, rough=0.8)  # of the score's axis, which leaves out runs that stand
-LABELS = dict(
-    performance="task performance", energy="energy [J/m]", power="power [W]", peak="peak [m/s]"
-)
+LABELS = dict(performance="score", energy="energy [J/m]", power="power [W]", peak="peak [m/s]")
+BLUE, BROWN, GREEN, RED = "#0072B2", "#8C510A", "#009E73", "#C00000"
+WALKS = 0.25  # m/s, mean speed ahead above which a run walks
 
 
-# ---- what the figures share ----
+def score_of(group):
+    """Which of evaluate.numbers says how well the task of a group is done."""
+    return "peak" if group.task == "velocity" else "performance"
 
 
-def style(name):
-    """Colour and marker of a kind of run in every figure but that of `weights`.
+def style(kind):
+    """Colour, marker and line of a kind of run in every figure.
 
     EIPO is blue, PPO yellow to brown by lambda, in five shades that one can tell apart: of 0, up to
-    0.0005, 0.002, 0.005 and more. Each lambda and lambda_0 has its marker. Lines of runs with other
-    settings are dashed.
+    0.0005, 0.002, 0.005 and more. Each lambda has its marker, and other settings a dashed line.
     """
-    lam = re.search(r"(?:PPO\(|from )([^ ,)]+)", name)
-    lam = float(lam[1]) if lam else -1  # EIPO from its usual lambda_0
-    shade = sum(x < lam for x in (0, 5e-4, 2e-3, 5e-3))
+    shade = sum(kind.lam > x for x in (0, 5e-4, 2e-3, 5e-3))
     color = colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[shade])
-    color = "#0072B2" if name.startswith("EIPO") else color
-    look = dict(color=color, marker="Dos^v<>pPX"[sum(x <= lam for x in LAMBDAS)])
-    return look | dict(linestyle="--" if re.search(", |smooth|shaped", name) else "-")
+    is_plain = (kind.aux, kind.reward, kind.other) == ("energy", "paper", ())
+    look = dict(color=BLUE if kind.algo == "eipo" else color, linestyle="-" if is_plain else "--")
+    return look | dict(marker="Dos^v<>pPX"[sum(kind.lam >= x for x in LAMBDAS)])
 
 
-def summarise(name, by_seed, statistic=np.mean):
-    """Columns of a CSV: a statistic, and its intervals over episodes and over seeds.
+def panels_of(names, num_rows, width=4.0, height=3.0, **options):
+    """A Figure with a column of panels for each name: (Figure, [(name, (Axes, ...)), ...]).
 
-    by_seed:   one array per seed, (episodes,), or (k, episodes) for a statistic of k numbers of an
-               episode
-    statistic: of k arrays (..., episodes), with an argument axis, as np.mean
+    width, height: [inch] of a panel
     """
-    by_seed = [np.atleast_2d(x) for x in by_seed]
-
-    def of_seeds(drawn):
-        return statistic(*np.hstack([by_seed[i] for i in drawn]), axis=-1)
-
-    seeds = np.arange(len(by_seed))
-    over_episodes = evaluate.interval(np.hstack(by_seed), statistic, batch=100)
-    over_seeds = evaluate.interval([seeds], of_seeds, vectorized=False)
-    numbers = float(of_seeds(seeds)), *over_episodes, *over_seeds
-    return dict(zip([name + end for end in ENDS], numbers, strict=True))
-
-
-def by_command(group, kinds, commands, columns, statistic=np.mean):
-    """Rows of a CSV: for each kind of run and each command (n, 3), a statistic of some columns of
-    Episodes from random starts, with its intervals. "energy" is energy per metre.
-
-    group, kinds: of `tables.by_group`
-    """
-    rows = []
-    for name, arm in kinds.items():
-        for command in commands:
-            each = [
-                tables.where(np.isclose([e[x] for x in tables.ASKED], command[:, None]).all(0), e)
-                for e in (tables.evaluation(run.episodes) for run in arm)
-            ]
-            n = min(len(e["fell"]) for e in each)  # so that every seed counts as much
-            each = [{column: x[:n] for column, x in e.items()} for e in each]
-            row = dict(group=group, run=name, v_x_asked=command[0], yaw_asked=command[2])
-            row |= dict(seeds=len(arm), episodes=n, fell=np.mean([e["fell"] for e in each]))
-            for column in columns:
-                names = ("power", "v_x") if column == "energy" else (column,)
-                of = evaluate.energy_per_metre if column == "energy" else statistic
-                row |= summarise(column, [[e[x] for x in names] for e in each], of)
-            rows.append(row)
-    return rows
-
-
-def one_group(runs, task):
-    """The name and the kinds of the one group of a task. Refused if its runs have several lengths,
-    since these figures have one panel.
-    """
-    groups = by_group(runs, task)
-    if len(groups) > 1:
-        raise Refused(f"these runs have several lengths, so take some: {'; '.join(groups)}")
-    (found,) = groups.items()
-    return found
-
-
-def panels_by(column, rows, num_panels):
-    """A Figure with panels one above the other for each group of rows.
-
-    Returns the Figure and [(value of the column, the rows that have it, their Axes), ...].
-    """
-    groups = tables.grouped(rows, column)
-    figure = Figure(figsize=(4 * len(groups), 3 * num_panels + 1.5), layout="constrained")
-    panels = figure.subplots(num_panels, len(groups), squeeze=False, sharex="col").T
-    for name, (top, *_) in zip(groups, panels, strict=True):
-        top.set_title(name.replace(" at ", "\nat "), fontsize=10)
-    return figure, list(zip(groups, groups.values(), panels, strict=True))
+    size = max(5.0, width * len(names)), height * num_rows + 1.0
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(num_rows, len(names), squeeze=False, sharex="col", **options).T
+    for name, (top, *_) in zip(names, panels, strict=True):
+        top.set_title(str(name).replace(", ", ",\n"), fontsize=10)
+    return figure, list(zip(names, panels, strict=True))
 
 
 def log_axis(axes):
-    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..., unless there is nothing to show on it."""
-    if not axes.dataLim.y1 > 0:
-        return
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_locator(NullLocator())
+    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..., if all that is drawn is above 0."""
+    if axes.dataLim.y0 > 0:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def legend_below(figure):
+    """One legend for all panels, below them, in as many columns as the figure has room for."""
+    found = {}
+    for axes in figure.axes:
+        found |= {str(label): x for x, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if found:
+        width, height = figure.get_size_inches()
+        columns = max(1, int(width / (0.06 * max(map(len, found)) + 0.5)))
+        figure.set_size_inches(width, height + 0.16 * np.ceil(len(found) / columns))
+        place = dict(loc="outside lower center", ncols=columns, fontsize=7)
+        figure.legend(found.values(), found, **place)
 
 
 # ---- over commands ----
 
 
-def draw_lines(axes, rows, column):
-    """Draw each kind of run over the command v_x: its mean, its interval over episodes and,
-    lighter, over seeds. What is infinite is left out.
-    """
-    for name, mine in tables.grouped(rows, "run").items():
-        names = "v_x_asked", *(column + end for end in ENDS)
-        numbers = np.array([[row[x] for row in mine] for x in names])
-        at, mean, *bands = np.where(np.isfinite(numbers), numbers, np.nan)
-        look = style(name)
-        axes.plot(at, mean, markersize=4, label=f"{name}, n = {mine[0]['seeds']}", **look)
-        axes.fill_between(at, *bands[:2], color=look["color"], alpha=0.2, linewidth=0)
-        axes.fill_between(at, *bands[2:], color=look["color"], alpha=0.1, linewidth=0)
-    axes.grid(alpha=0.3)
+def did(run, columns):
+    """Columns of what pi did, by command; "energy" [J/m] is power over speed."""
+    energy = evaluate.energy_per_metre(run.did["power"][:, None], run.did["v_x"][:, None])
+    return {name: energy if name == "energy" else run.did[name] for name in columns}
+
+
+def rows_of(group, kind, run, columns):
+    """Rows of a CSV, for each command: what pi of a Run did."""
+    about = dict(group=group, kind=kind, run=run.name)
+    asked = dict(v_x_asked=run.did["asked_v_x"], yaw_asked=run.did["asked_yaw"])
+    table = asked | did(run, columns)
+    return [about | dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
 
 
 def over_commands(runs, tasks, columns):
     """Rows and a Figure of some columns by command, a panel for each group of runs and column."""
-    rows = []
-    for group, kinds in by_group(runs, *tasks).items():
-        rows += by_command(group, kinds, evaluate.commands_of(task_of(group)), columns)
-    figure, panels = panels_by("group", rows, len(columns))
-    for group, mine, all_axes in panels:
-        for axes, column in zip(all_axes, columns, strict=True):
-            draw_lines(axes, mine, column)
-            axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column], xlim=(0, 1))
-        if (bottom := BOTTOM[task_of(group)]) < all_axes[0].get_ylim()[1]:  # do any of them walk?
-            all_axes[0].set_ylim(bottom=bottom)
+    groups, rows = by_group(runs, *tasks), []
+    figure, panels = panels_of(groups, len(columns))
+    for group, all_axes in panels:
+        for kind, arm in groups[group].items():
+            rows += [row for run in arm for row in rows_of(group, kind, run, columns)]
+            for axes, column in zip(all_axes, columns, strict=True):
+                x = arm[0].did["asked_v_x"]
+                seeds = np.array([did(run, [column])[column] for run in arm])
+                seeds = np.where(np.isfinite(seeds), seeds, np.nan)  # a robot that stands: inf J/m
+                look = style(kind)
+                thin = dict(color=look["color"], linestyle=look["linestyle"], linewidth=0.5)
+                axes.plot(x, seeds.T, alpha=0.5, **thin)
+                axes.plot(x, seeds.mean(0), markersize=4, label=str(kind), **look)
+                axes.set(xlabel="command v_x [m/s]", ylabel=LABELS[column])
+                axes.grid(alpha=0.3)
         if "energy" in columns:  # a robot that is asked to stand spends much per metre
             log_axis(all_axes[1])
-        place = dict(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
-        all_axes[-1].legend(*all_axes[0].get_legend_handles_labels(), **place)
+    legend_below(figure)
     return rows, figure
 
 
@@ -192,24 +144,30 @@ def outline(axes, mesh, inside):
 
 
 def fig5(runs):
-    """Task performance and power over commands of v_x and yaw rate. Section V-E.
+    """Task performance and power over commands of v_x and yaw rate, means over seeds. Section V-E.
 
-    Of each seed a line goes around the commands that its grid had reached when training ended, if
-    the tables say it. What is outside was asked and never trained.
+    A line goes around the commands that the grid of a seed had reached when training ended. What is
+    outside was asked and never trained.
     """
-    group, kinds = one_group(runs, "curriculum")
-    rows = by_command(group, kinds, tables.GRID, ("performance", "power"))
-    figure, panels = panels_by("run", rows, 2)
-    v_x, yaw = tables.GRID[::11, 0], tables.GRID[:11, 2]
-    for i, column in enumerate(("performance", "power")):
-        values = np.array([row[column] for row in rows]).reshape(-1, 11, 11)
-        line = [all_axes[i] for _, _, all_axes in panels]
-        for axes, value, arm in zip(line, values, kinds.values(), strict=True):
-            image = axes.pcolormesh(yaw, v_x, value, vmin=values.min(), vmax=values.max())
+    columns, rows = ("performance", "power"), []
+    (group, kinds), *others = by_group(runs, "curriculum").items()
+    if others:
+        raise Refused("these runs have several lengths, and this figure is of one: take some")
+    figure, panels = panels_of(kinds, 2, sharey=True)
+    for arm in kinds.values():
+        rows += [row for run in arm for row in rows_of(group, run.kind, run, columns)]
+    for i, column in enumerate(columns):
+        means = [np.mean([run.did[column] for run in arm], 0) for arm in kinds.values()]
+        for (_, axes), mean, arm in zip(panels, means, kinds.values(), strict=True):
+            v_x, yaw = (np.unique(arm[0].did[x]) for x in ("asked_v_x", "asked_yaw"))
+            shape = len(v_x), len(yaw)
+            image = axes[i].pcolormesh(
+                yaw, v_x, mean.reshape(shape), vmin=np.min(means), vmax=np.max(means)
+            )
             for cells in (run.reached for run in arm if run.reached):
-                inside = tables.inside(tables.GRID[:, 0], tables.GRID[:, 2], cells)
-                outline(axes, image, inside.reshape(11, 11))
-        figure.colorbar(image, ax=line, label=LABELS[column])
+                reached = inside(arm[0].did["asked_v_x"], arm[0].did["asked_yaw"], cells)
+                outline(axes[i], image, reached.reshape(shape))
+        figure.colorbar(image, ax=[axes[i] for _, axes in panels], label=LABELS[column])
     figure.supxlabel("command yaw rate [rad/s]")
     figure.supylabel("command v_x [m/s]")
     return rows, figure
@@ -221,130 +179,168 @@ def fig5(runs):
 def fig6(runs):
     """Speed over time on velocity, of the robots that have not fallen. Section VI.
 
-    A line is a seed, and a thick one the mean of a kind. Dotted lines are the peaks of the paper's
-    robot (D37).
+    Dotted lines are the peaks of the paper's robot (D37).
     """
-    rows = []
-    figure = Figure(figsize=(6.5, 3.6), layout="constrained")
-    axes = figure.subplots()
-    group, kinds = one_group([run for run in runs if run.speed], "velocity")
-    for name, arm in kinds.items():
-        time = arm[0].speed["time"]
-        speeds = {run.name: run.speed["v_x"] for run in arm}
-        mean = np.mean(list(speeds.values()), 0)
-        color = style(name)["color"]
-        for seed, v_x in (speeds | dict(mean=mean)).items():
-            axes.plot(time, v_x, color=color, linewidth=0.6, alpha=0.5)
-            about = dict(group=group, kind=name, run=seed)
-            rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
-        axes.plot(time, mean, color=color, linewidth=2, label=f"{name}, n = {len(arm)}")
-    for name, peak in HARDWARE.items():
-        axes.axhline(peak, color="black", linestyle=":", linewidth=1)
-        axes.text(time[-1], peak, f"{name}, the paper's robot", ha="right", va="bottom", fontsize=7)
-    axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
-    axes.grid(alpha=0.3)
-    figure.legend(loc="outside right center", fontsize=8)
+    groups, rows = by_group([run for run in runs if run.speed], "velocity"), []
+    figure, panels = panels_of(groups, 1, sharey=True)
+    for group, (axes,) in panels:
+        for kind, arm in groups[group].items():
+            time, look = arm[0].speed["time"], style(kind) | dict(marker="")
+            seeds = np.array([run.speed["v_x"] for run in arm])
+            axes.plot(time, seeds.T, **look | dict(linewidth=0.6, alpha=0.5))
+            axes.plot(time, seeds.mean(0), linewidth=2, label=str(kind), **look)
+            for run, v_x in zip(arm, seeds, strict=True):
+                about = dict(group=group, kind=kind, run=run.name)
+                rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
+        for name, peak in HARDWARE.items():
+            axes.axhline(peak, color="black", linestyle=":", linewidth=1)
+            place = dict(ha="right", va="bottom", fontsize=7)
+            axes.text(time[-1], peak, f"{name}, the paper's robot", **place)
+        axes.set(xlabel="time [s]", ylabel="speed ahead [m/s]")
+        axes.grid(alpha=0.3)
+    legend_below(figure)
     return rows, figure
 
 
 def table1(runs):
     """Peak velocity of every lambda beside what the paper prints. Table I.
 
-    Interquartile means over the episodes of all seeds (D26).
+    A dot is the interquartile mean over the episodes of all seeds, with the paper's 95 % bootstrap
+    interval over episodes (D26). A small one is that of a seed.
     """
-    columns = "peak", "v_x", "power", "energy"
-    group, kinds = one_group(runs, "velocity")
-    rows = by_command(group, kinds, np.zeros((1, 3)), columns, evaluate.iqm)
-    for row in rows:
-        row["paper"] = TABLE1.get(row["run"].split(",")[0], np.nan)
-    at = np.arange(len(rows))[::-1]
-    figure = Figure(figsize=(6, 0.35 * len(rows) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    over_seeds = [[row[f"peak_seeds_{end}"] for row in rows] for end in ("low", "high")]
-    axes.hlines(at, *over_seeds, color="#0072B2", alpha=0.3, linewidth=5, label="ours, over seeds")
-    peak, low, high, paper = (
-        np.array([row[name] for row in rows]) for name in ("peak", "peak_low", "peak_high", "paper")
-    )
-    axes.errorbar(peak, at, xerr=[peak - low, high - peak], fmt="o", capsize=3, label="ours")
-    axes.plot(paper, at, "D", color="#D55E00", markerfacecolor="none", label="the paper's")
-    labels = [f"{row['run']}, n = {row['seeds']}" for row in rows]
-    axes.set(yticks=at, yticklabels=labels, xlabel="peak velocity [m/s]")
-    axes.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=3, fontsize=8)
-    return rows, figure
-
-
-# ---- what alpha does ----
-
-
-def tradeoff(runs):
-    """Power over the score, a small dot for each run and a large one for each kind.
-
-    Hollow dots are the pi_prime of the same runs, and dashed ones have other settings. The score is
-    task performance, on velocity the peak.
-    """
-    rows = []
-    groups = by_group(runs)
-    one_task = len(set(map(task_of, groups))) == 1
-    figure = Figure(figsize=(4.5 * len(groups), 5.5), layout="constrained")
-    panels = figure.subplots(1, len(groups), squeeze=False, sharex=one_task, sharey=one_task)[0]
-    for (group, kinds), axes in zip(groups.items(), panels, strict=True):
-        score = score_of(group)
-        for name, arm in tables.with_primes(kinds).items():
-            look = style(name.removeprefix("pi' of "))
-            look["edgecolors"] = look.pop("color")
-            look["facecolors"] = "none" if name.startswith("pi'") else look["edgecolors"]
-            each, _ = tables.means(arm)
-            x, y = each[score], each["power"]
-            axes.scatter(x, y, 12, alpha=0.6, linewidths=0.5, **look)
-            axes.scatter(x.mean(), y.mean(), 60, label=f"{name}, n = {len(arm)}", **look)
-            about = dict(group=group, kind=name)
-            rows += [
-                about | dict(run=run.name, score=a, power=b)
-                for run, a, b in zip(arm, x, y, strict=True)
-            ]
-        low, high = axes.get_xlim()
-        if low < BOTTOM.get(task_of(group), np.inf) < high:  # runs that stand are left of it
-            axes.set_xlim(left=BOTTOM[task_of(group)])
-        axes.set(xlabel=LABELS[score], ylabel=LABELS["power"], title=group)
-        log_axis(axes)
+    groups, rows = by_group(runs, "velocity"), []
+    own = [*eipo("velocity"), *ppo(*LAMBDAS)]
+    printed = dict(zip(own, TABLE1, strict=True))
+    most = max(map(len, groups.values()))
+    figure, panels = panels_of(groups, 1, width=6.0, height=0.35 * most)
+    for group, (axes,) in panels:
+        kinds = groups[group]
+        for at, (kind, arm) in enumerate(kinds.items()):
+            seeds = [run.episodes["peak"] for run in arm]
+            low, high = stats.bootstrap(
+                [np.concatenate(seeds)],
+                evaluate.iqm,
+                method="percentile",
+                n_resamples=2000,
+                batch=100,
+                rng=np.random.default_rng(2024),
+            ).confidence_interval
+            mean = evaluate.iqm(np.concatenate(seeds))
+            power = np.mean([run.numbers["power"] for run in arm])
+            paper = printed.get(kind, np.nan)
+            row = dict(group=group, kind=kind, seeds=len(arm), peak=mean, low=low, high=high)
+            rows.append(row | dict(power=power, paper=paper))
+            axes.plot(list(map(evaluate.iqm, seeds)), [at] * len(arm), ".", color=BLUE, alpha=0.5)
+            error = [[mean - low], [high - mean]]
+            axes.errorbar(mean, at, xerr=error, fmt="o", color=BLUE, capsize=3)
+            axes.plot(paper, at, "D", color="#D55E00", markerfacecolor="none")
+        labels = [f"{kind}, n = {len(arm)}" for kind, arm in kinds.items()]
+        axes.set(yticks=range(len(kinds)), yticklabels=labels, xlabel="peak velocity [m/s]")
+        axes.invert_yaxis()
         axes.grid(alpha=0.3)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize=7)
+    figure.suptitle("dots: ours; diamonds: the paper's", fontsize=8)
     return rows, figure
+
+
+# ---- what lambda and alpha do ----
 
 
 def alpha(runs):
-    """alpha over iterations, a line for each run of EIPO, dashed for each kind in another way.
-    Dotted lines are 1 / lambda of each kind of PPO, with what it scores and draws: at such an alpha
-    pi has the same objective.
+    """alpha over iterations, a line for each run of EIPO. Dotted lines are 1 / lambda of each kind
+    of PPO, with what it scores and draws: at such an alpha pi has the same objective.
     """
-    rows = []
     groups = by_group(runs)
-    figure = Figure(figsize=(4.5 * len(groups), 3.8), layout="constrained")
-    panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
-    for (group, kinds), axes in zip(groups.items(), panels, strict=True):
-        dashes = cycle(("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (9, 3)), (0, (2, 1))))
-        for name, arm in kinds.items():
-            algo, lam = (arm[0].settings[x] for x in ("algo", "lam"))
-            if algo == "ppo" and lam > 0:
-                mean = tables.means(arm)[1]
-                label = f" {name}:\n {mean[score_of(group)]:.2f} on {mean['power']:.0f} W"
-                axes.axhline(1 / lam, color="black", linestyle=":", linewidth=1)
+    groups = {group: kinds for group, kinds in groups.items() if any(map(is_eipo, kinds))}
+    if not groups:
+        raise Refused("none of these runs is of EIPO, which alone has an alpha")
+    rows, colors = [], {}  # a kind has one colour in all panels
+    palette = cycle((BLUE, GREEN, RED, BROWN, "black", "#7A5195"))
+    figure, panels = panels_of(groups, 1, sharey=True)
+    for group, (axes,) in panels:
+        for kind, arm in groups[group].items():
+            if kind.algo == "ppo" and kind.lam > 0:
+                score = np.mean([run.numbers[score_of(group)] for run in arm])
+                power = np.mean([run.numbers["power"] for run in arm])
+                axes.axhline(1 / kind.lam, color="black", linestyle=":", linewidth=1)
                 at = dict(xycoords=("axes fraction", "data"), va="center")
-                axes.annotate(label, (1, 1 / lam), fontsize=7, **at)
-            if algo == "ppo":
-                continue
-            look = dict(color=style(name)["color"], linewidth=1, linestyle=next(dashes))
-            for run in arm:
-                x, y = (run.metrics[key] for key in ("iteration", "alpha"))
-                axes.plot(x, y, label=name if run is arm[0] else None, **look)
-                about = dict(group=group, kind=name, run=run.name)
-                rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
-        axes.set(xlabel="iteration", ylabel="alpha", title=group)
-        if len(axes.get_legend_handles_labels()[1]) > 1:
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=7)
+                label = f" {kind}:\n {score:.2f} on {power:.0f} W"
+                axes.annotate(label, (1, 1 / kind.lam), fontsize=7, **at)
+            if kind.algo == "eipo":
+                color = colors.get(kind) or colors.setdefault(kind, next(palette))
+                for run in arm:
+                    x, y = run.learned["iteration"], run.learned["alpha"]
+                    label = str(kind) if run is arm[0] else None
+                    axes.plot(x, y, color=color, linewidth=1, label=label)
+                    about = dict(group=group, kind=kind, run=run.name)
+                    rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
+        axes.set(xlabel="iteration", ylabel="alpha")
         log_axis(axes)
         axes.grid(alpha=0.3)
-    if not rows:
-        raise Refused("none of these runs is of EIPO, which alone has an alpha")
+    legend_below(figure)
     return rows, figure
+
+
+def is_eipo(kind):
+    """Whether a kind of run is of EIPO."""
+    return kind.algo == "eipo"
+
+
+def weights(runs):
+    """Score and power over lambda, with a column of panels for each group of runs.
+
+    Dots are runs of PPO, open ones those that do not walk, and a line joins their means. An arrow
+    is a run of EIPO, from the lambda with which it starts to the one at its end. In the grey band
+    PPO scores as well as with the best weight, within the margin.
+    """
+    groups, rows = by_group(runs), []
+    figure, panels = panels_of(groups, 2)
+    for group, all_axes in panels:
+        columns = score_of(group), "power"
+        kinds = {kind: arm for kind, arm in groups[group].items() if kind.reward == "paper"}
+        for kind, arm in kinds.items():
+            for run in arm:
+                row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
+                rows.append(row | {name: run.numbers[name] for name in (*columns, "v_x")})
+        for axes, column in zip(all_axes, columns, strict=True):
+            means = draw_weights(axes, [row for row in rows if row["group"] == group], column)
+            axes.set_ylabel(LABELS[column])
+            if means and column == columns[0]:
+                best = max(means)
+                axes.axhspan(best - MARGINS[column], best, color="black", alpha=0.1, linewidth=0)
+        log_axis(all_axes[1])
+        all_axes[1].set_xlabel("lambda (of EIPO from start to end)")
+    legend_below(figure)
+    return rows, figure
+
+
+def draw_weights(axes, rows, column):
+    """Draw a column of rows of `weights` over lambda; returns the means of PPO at each lambda."""
+    zero = LAMBDAS[1] / 3  # where 0 stands on an axis that is logarithmic
+    fixed = [row for row in rows if row["kind"].algo == "ppo" and not row["kind"].other]
+    lams = sorted({row["lam"] for row in fixed})
+    means = [np.mean([row[column] for row in fixed if row["lam"] == lam]) for lam in lams]
+    axes.plot([lam or zero for lam in lams], means, color=BROWN, linewidth=1)
+    for label, walks in (("PPO", True), ("PPO that does not walk", False)):
+        dots = [row for row in fixed if (row["v_x"] > WALKS) == walks]
+        if dots:
+            at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
+            face = BROWN if walks else "white"
+            axes.plot(at, y, "o", color=BROWN, mfc=face, markersize=4, label=label)
+    labelled = set()
+    for row in rows:
+        kind = row["kind"]
+        if kind.algo == "eipo":
+            color = RED if kind.other else BLUE
+            label = ", ".join(["EIPO", *kind.other])
+            end = min(max(row["lam_end"], zero), 10 * max(LAMBDAS))
+            look = dict(color=color, arrowstyle="-|>", shrinkA=0, shrinkB=0)
+            axes.annotate("", (end, row[column]), (row["lam"], row[column]), arrowprops=look)
+            axes.plot(row["lam"], row[column], "|", color=color)
+            axes.plot(end, row[column], ".", color=color, label="" if label in labelled else label)
+            labelled.add(label)
+    axes.set_xscale("log")
+    ticks = [f"{lam:g}" for lam in LAMBDAS]
+    axes.set_xticks([lam or zero for lam in LAMBDAS], ticks, fontsize=6, rotation=45)
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.grid(alpha=0.3)
+    return means

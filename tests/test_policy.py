@@ -3,12 +3,10 @@
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from support import NOMINAL, ROOT, error_of, make_run
 
@@ -16,7 +14,6 @@ import evaluate
 import go1
 import go1_env
 import tasks
-from docs import gait, losses
 from networks import MLP
 from runtime import run_folder
 
@@ -268,176 +265,3 @@ def test_the_numbers_of_deploy_md(page):
     assert limits.tolist() == page["LIMIT"].tolist() and home[7:].tolist() == NOMINAL.tolist()
     assert flat.timestep == 0.005 and flat.physics_steps == page["STEPS"]
     assert tasks.TASKS["velocity"].torque_speed and curriculum.motor_model
-
-
-@pytest.mark.go1
-def test_the_table_of_deploy_md(capsys, monkeypatch):
-    """It has the rows of losses.py, whose first one is what evaluate.py says. Damping slows the
-    robot, and less kd makes up for it. Here episodes last a second, and a command has two.
-    """
-    cases = losses.CASES
-    for name in cases:
-        assert f"\n| {name} | " in (ROOT / "docs/deploy.md").read_text()
-    few = ("nothing", "joint damping 1", "joint damping 0.5, and kd 0", "2 ms, 10 steps a target")
-    monkeypatch.setattr(losses, "CASES", {name: cases[name] for name in few})
-    monkeypatch.setattr(evaluate, "EPISODE_STEPS", 50)
-    assert losses.main([str(ROOT / "results/velocity")]) == 2
-    assert "results/velocity is of velocity" in capsys.readouterr().err
-    assert losses.main([str(ROOT / "results/flat"), "--episodes", "22"]) == 0
-    evaluate.main([str(ROOT / "results/flat"), "--episodes", "22"])
-    lines = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
-    head, row = lines[-3], lines[-1]
-    said = dict(zip(head, row, strict=True))
-    shown = {name: [float(x.split()[0].rstrip("%")) for x in row] for name, *row in lines[2:6]}
-    score, _, speed, power, fell = shown["nothing"]
-    assert score == pytest.approx(float(said["performance"]), abs=0.005)
-    assert fell == pytest.approx(100 * float(said["fell"]), abs=0.05)
-    assert power == pytest.approx(float(said["power"]), rel=0.1)  # which has falls, too
-    assert shown["joint damping 1"][2] < 0.8 * speed
-    for name in few[2:]:
-        assert shown[name][2] == pytest.approx(speed, rel=0.2)
-
-
-def trot():
-    """What gait.walk returns of a trot: FR and RL stand in every other step of seven, FL and RR in
-    the others. Left feet are at 12 and 14 cm, right ones at -10 and -12.
-    """
-    even = np.arange(7) % 2 == 0
-    stands = np.stack([~even, even, even, ~even], -1)[:, None]
-    feet = np.tile([(0, -0.10), (0, 0.12), (0, -0.12), (0, 0.14)], (7, 1, 1, 1))
-    return np.full((7, 1), 0.5), np.full((7, 1), 100.0), stands, feet
-
-
-def test_numbers_of_a_gait():
-    """Each diagonal of a trot does the same always, and neighbours never. Each foot is set down 3
-    times in 3 s, half of 28 feet stand, and feet are 24 cm apart on average.
-    """
-    found = gait.numbers(*trot())
-    assert found == pytest.approx((0.5, 100, 1, 0.5, 1, 0, 0.24))
-
-
-@pytest.mark.go1
-def test_gaits_are_drawn_and_printed(tmp_path, capsys, monkeypatch):
-    """A row for each run and speed, and a picture. Asked for more, a robot is faster and draws
-    more. What cannot be compared is refused in one line, and nothing is written.
-    """
-    monkeypatch.setattr(gait, "NUM_ROBOTS", 4)
-    out = tmp_path / "gait.png"
-    run, to = str(ROOT / "results/flat"), ["--out", str(out)]
-    assert gait.main([run, *to, "--v-x", "0.2", "1"]) == 0
-    head, _, slow, fast = (
-        line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()
-    )
-    assert (head[:2], slow[1], fast[1]) == (["run", "asked"], "0.2 m/s", "1 m/s")
-    assert all(float(slow[i].split()[0]) < float(fast[i].split()[0]) for i in (2, 3))
-    assert out.read_bytes()[:4] == b"\x89PNG"
-    out.unlink()
-    assert gait.main([str(ROOT / "results/velocity"), *to]) == 2
-    assert "is of velocity, whose robots are not asked" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        gait.main([run, *to, "--v-x", "nan"])
-    assert "--v-x is nan" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        gait.main([run, "--out", str(tmp_path / "gait.pdf")])
-    assert "must end in .png" in capsys.readouterr().err
-    assert not [*tmp_path.iterdir()]
-
-
-@pytest.mark.go1
-def test_losses_reach_the_simulation_and_falls_leave_power_alone(monkeypatch):
-    """Two robots fall, at 3 m/s and on 350 W. The others draw 40 and 90 W, 65 in the mean."""
-    asked = np.array([[0.5, 0, 0], [1, 0, 0], [0.5, 0, 0], [1, 0, 0]])
-    seen = []
-
-    def run_episodes(policy, env):
-        dof = [env.batch.expand(f"dof_{x}")[0].tolist() for x in ("frictionloss", "damping")]
-        solimp = env.batch.expand("geom_solimp")[0, env.feet, :3]
-        seen.append((dof, solimp.tolist(), go1.KD, env.env_cfg.timestep, env.env_cfg.physics_steps))
-        fell, v_x = np.array([False, False, True, True]), np.array([0.4, 0.9, 3, 3])
-        score, power = np.array([1, 1.4, 0.2, 0.2]), 100 * v_x + 50 * fell
-        return evaluate.Episodes(score, fell, v_x, power, v_x), None
-
-    monkeypatch.setattr(evaluate, "run_episodes", run_episodes)
-    changes = dict(friction=0.2, damping=0.5, kd=0.0, solimp=(0.015, 1.0, 0.031), steps=10)
-    pi, env_cfg = SimpleNamespace(mean=None), tasks.task_config()
-    for changed in (changes, {}):
-        found = losses.measure(pi, env_cfg, asked, **changed)
-        assert found == pytest.approx((0.7, 0.4, 0.9, 65, 0.5))
-    lossy, plain = seen
-    trunk = [0.0] * 6
-    assert lossy[0] == [trunk + [0.2] * 12, trunk + [0.5] * 12]
-    assert lossy[1] == [[0.015, 1.0, 0.031]] * 4 and lossy[2:] == (0.0, 0.002, 10)
-    assert plain[0] == [trunk + [0.0] * 12] * 2 and plain[2:] == (0.5, 0.005, 4)
-    assert plain[1] != lossy[1]
-
-
-@pytest.mark.go1
-def test_a_walk_is_of_robots_that_last_and_leaves_out_the_first_second(monkeypatch):
-    """Control steps of 0.5 s: two of them pass, and six count. Robot 0 falls in the first one.
-    Thighs that lie back and calves along them: feet 2 x 0.213 m behind the hips, which are at
-    0.1881 m ahead and behind, and 0.08 + 0.04675 m aside.
-    """
-    env = SimpleNamespace(period=0.5, qpos=np.zeros((2, 19)), contacts=np.zeros((2, 17)), t=0)
-    env.qpos[:, 8::3] = np.pi / 2  # the thighs
-    env.contacts[1, go1.FEET] = [1, 0, 0, 1]
-
-    def step(action):
-        env.t += 1
-        log = dict(v_x=np.array([64.0, env.t]), power=np.array([64.0, 10.0 * env.t]))
-        return 0, 0, np.array([env.t == 1, False]), 0, dict(log=log)
-
-    env.reset, env.step = lambda seed: (0, {}), step
-    asked = []
-    monkeypatch.setattr(gait, "NUM_ROBOTS", 2)
-    monkeypatch.setattr(evaluate, "make_env", lambda cfg, x: asked.append(x.tolist()) or env)
-    v_x, power, stands, feet = gait.walk(SimpleNamespace(mean=lambda obs: 0), None, 0.5)
-    assert asked == [[[0.5, 0, 0]] * 2]
-    assert v_x.T.tolist() == [[3, 4, 5, 6, 7, 8]] and power[0] == 30
-    assert stands.tolist() == [[[True, False, False, True]]] * 6
-    x, y = 0.1881 - 0.426, 0.12675
-    there = [(x, -y), (x, y), (-0.1881 - 0.426, -y), (-0.1881 - 0.426, y)]
-    assert feet[0, 0] == pytest.approx(np.array(there))
-
-
-def test_gaits_are_of_the_nominal_pose_and_each_number_has_its_name(tmp_path, capsys, monkeypatch):
-    seen = []
-
-    def walk(pi, env_cfg, v_x):
-        seen.append((env_cfg.start_spread, v_x))
-        return trot()
-
-    monkeypatch.setattr(gait, "walk", walk)
-    run, out = make_run(tmp_path / "run"), tmp_path / "a.png"
-    assert gait.main([str(run), "--v-x", "0.5", "--out", str(out)]) == 0
-    assert seen == [(0.0, 0.5)]
-    head, _, row = (x.strip("| ").split(" | ") for x in capsys.readouterr().out.splitlines())
-    assert dict(zip(head, row, strict=True)) == dict(
-        run="run",
-        asked="0.5 m/s",
-        moves="0.50 m/s",
-        power="100 W",
-        steps="1.0 / s",
-        stands="50%",
-        diagonals="100%",
-        sides="0%",
-        apart="24 cm",
-    )
-
-
-def test_footfalls_stand_in_the_rows_of_their_feet():
-    """FL alone stands, from 0.02 to 0.04 s, ahead and to the left."""
-    stands = np.zeros((50, 1, 4), bool)
-    stands[1, 0, 1] = True
-    feet = np.tile([0.2, 0.125], (50, 1, 4, 1))
-    figure = Figure()
-    gait.draw(figure.subfigures(), "", stands, feet, 0.02)
-    falls, above = figure.subfigs[0].axes if figure.subfigs else figure.axes
-    names = dict(
-        zip(falls.get_yticks(), [x.get_text() for x in falls.get_yticklabels()], strict=True)
-    )
-    bars = [path.vertices for x in falls.collections for path in x.get_paths()]
-    (bar,) = bars
-    assert names[bar[:4, 1].mean()] == "FL"
-    assert (bar[:, 0].min(), bar[:, 0].max()) == pytest.approx((0.02, 0.04))
-    points = np.concatenate([line.get_xydata() for line in above.lines])
-    assert points.tolist() == [[-0.125, 0.2]]

@@ -15,7 +15,8 @@ import train
 from runtime import flags
 
 ROOT = Path(train.__file__).parent
-FILES = [*ROOT.glob("*.py"), *ROOT.glob("runtime/*.py"), *ROOT.glob("results/*.py")]
+FOLDERS = "runtime", "results", "tutorial"
+FILES = [*ROOT.glob("*.py"), *(path for x in FOLDERS for path in (ROOT / x).glob("*.py"))]
 MODULES = sorted(str(path.relative_to(ROOT).with_suffix("")) for path in FILES)
 # imports go down this list, never up; the second entry is what a module may import beyond it and
 # the standard library. The paper's part ends with eipo. results/ comes after all of it
@@ -31,6 +32,7 @@ LAYERS = {
     "mirror": {"numpy", "jax"},
     "runtime/__init__": set(),
     "runtime/cli": set(),
+    "runtime/kinds": set(),
     "ppo": {"numpy", "jax", "optax"},
     "eipo": {"numpy", "jax"},
     "runtime/robot": {"numpy", "mujoco"},
@@ -68,7 +70,7 @@ def imports(module):
         elif isinstance(node, ast.ImportFrom):
             package, *inside = node.module.split(".")
             names = inside or [alias.name for alias in node.names]
-            ours = package in ("runtime", "results")
+            ours = package in FOLDERS
             imported |= {f"{package}/{x}" for x in names} if ours else {package}
     return imported - set(sys.stdlib_module_names)
 
@@ -78,7 +80,7 @@ def test_imports_go_one_way(module):
     """A reader may stop at any file: the paper's equations know nothing of the environment, and so
     on.
     """
-    if module.startswith("results/"):
+    if module.startswith(("results/", "tutorial/")):
         assert imports(module) <= set(MODULES) | PACKAGES
         return
     above = list(LAYERS)[: list(LAYERS).index(module)]
@@ -90,7 +92,8 @@ def test_imports_go_one_way(module):
 
 def test_modules_are_listed_and_packages_declared():
     """Not only what other packages bring along: they may stop to."""
-    assert {module for module in MODULES if not module.startswith("results/")} == set(LAYERS)
+    others = "results/", "tutorial/"
+    assert {module for module in MODULES if not module.startswith(others)} == set(LAYERS)
     page = (ROOT / "pyproject.toml").read_text()
     declared = re.search(r"^dependencies = \[(.*)\]", page, re.M)[1]
     assert PACKAGES - {"PIL"} | {"pillow"} == set(re.findall(r'"(\w+)', declared))

@@ -104,5 +104,5 @@ def test_a_sweep_that_is_killed_goes_on_with_the_same_bits(checkout, tmp_path):
     assert len(folders) == 3
     tables = ["--results", str(tmp_path), "--episodes", "11"]
     assert main(["add", *folders, *tables]) == 0
-    assert main(["tradeoff", str(tmp_path / "flat"), "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
+    assert main(["weights", str(tmp_path / "flat"), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "weights.png").stat().st_size > 10_000

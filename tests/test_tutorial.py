@@ -9,6 +9,7 @@ import ast
 import contextlib
 import inspect
 import io
+import json
 import os
 import re
 import shlex
@@ -32,7 +33,7 @@ from support import TINY
 import evaluate
 import play
 import train
-from results import tables
+from results import runs
 from tutorial import figures
 
 PAGE = ROOT / "tutorial.md"
@@ -215,9 +216,8 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     for command in (tested, trained, evaluated, kept):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
-    (row,) = tables.read(copy / "kept/turn/runs.csv")
-    asked = {float(x["asked_yaw"]) for x in tables.read(copy / "kept/turn/episodes.csv.gz")}
-    assert row["run"] == "run" and asked == {x / 10 for x in range(11)}
+    kept = json.loads((copy / "kept/turn/run.json").read_text())
+    assert {*runs.columns_of(kept["did"])["asked_yaw"]} == {x / 10 for x in range(11)}
 
 
 SABOTAGE = re.compile(r"# \d+\. .*\n@@ (\S+), caught by (\w+) @@\n((?:[-+].*\n)+)> (assert .*)\n")

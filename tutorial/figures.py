@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 import eipo
 import go1
 import ppo
-from results import tables
-from results.tables import RESULTS
+from results import runs
 
 FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
 # colours that colour-blind readers can tell apart
@@ -147,9 +146,8 @@ def commands(grid, rng):
 
 
 def kept(name):
-    """The columns of metrics.csv of a run, TASK/NAME, of which results/ keeps every tenth row."""
-    (run,) = tables.runs([RESULTS / name])
-    return run.metrics
+    """The columns of metrics.csv that results/ keeps of a run, TASK/NAME."""
+    return runs.read(runs.RESULTS / f"{name}.json").learned
 
 
 def training(runs):

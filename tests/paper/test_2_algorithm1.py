@@ -17,7 +17,7 @@ from support import EIPO, handmade, learner_of, trees_equal
 import eipo
 import networks
 from eipo import Dual, State
-from results.tables import LAMBDAS
+from tasks import LAMBDAS
 
 
 @jax.jit

@@ -11,7 +11,6 @@ from support import frames
 
 import evaluate
 import tasks
-from results import figures
 
 
 class Scripted:
@@ -143,46 +142,3 @@ def test_an_interval_keeps_the_numbers_of_an_episode_together():
     v_x = np.arange(1.0, 9)
     ends = evaluate.interval([24 * v_x, v_x], evaluate.energy_per_metre, batch=100)
     assert ends == pytest.approx((24, 24))
-
-
-def test_summarise_by_hand():
-    """Seeds 0..3 and 4..7: pooled IQM 3.5. Two seeds can be drawn as 00, 01, 10, 11, with IQM 1.5,
-    3.5, 3.5, 5.5.
-    """
-    row = figures.summarise("x", [np.array([0.0, 1, 2, 3]), np.array([4.0, 5, 6, 7])], evaluate.iqm)
-    assert list(row) == ["x", "x_low", "x_high", "x_seeds_low", "x_seeds_high"]
-    assert row["x"] == 3.5
-    assert (row["x_seeds_low"], row["x_seeds_high"]) == (1.5, 5.5)
-    assert 0.5 < row["x_low"] < 3 and 4 < row["x_high"] < 6.5
-
-
-@pytest.mark.parametrize(("statistic", "high"), [(np.mean, 3), (evaluate.iqm, 2)])
-def test_interval_over_seeds_pools_the_episodes_of_the_seeds_that_are_drawn(statistic, high):
-    """Three seeds have five episodes of 0 each; the fourth has one alone, of 8. All of four
-    draws are this seed by a chance of 1/256 = 0.4 %, three or more by 13/256 = 5.1 %, none by 32 %.
-
-    So the interval of 95 % ends at none, 0, and at three: 8, 8, 8 and five 0. Their mean is 3, and
-    that of their middle half, 0, 0, 0, 8, is 2. The means of the four seeds have the mean 6 and the
-    IQM 8.
-    """
-    seeds = [np.zeros(5), np.array([8.0]), np.zeros(5), np.zeros(5)]
-    row = figures.summarise("x", seeds, statistic)
-    assert (row["x_seeds_low"], row["x_seeds_high"]) == (0, high)
-
-
-@pytest.mark.parametrize("seeds, high", [([1, 1, 0, 0, 0], 0.8), ([1, 0, 0], 1)])
-def test_interval_over_seeds_is_of_95_percent(seeds, high):
-    """2.5 % lie above it. Of five seeds, two of which have 1, all five draws are 1 by a chance of
-    0.4^5 = 1.0 %, and four or more by 8.7 %: it ends at four of five. Of three seeds, one of which
-    has 1, all three are 1 by a chance of 1/27 = 3.7 %: it ends at 1.
-    """
-    row = figures.summarise("x", [np.array([float(x)]) for x in seeds])
-    assert row["x_seeds_high"] == pytest.approx(high)
-
-
-def test_summarise_without_an_interval():
-    """One seed has no interval over seeds; episodes that are all alike have one of width 0."""
-    row = figures.summarise("x", [np.full(8, 2.0)])
-    assert (row["x"], row["x_low"], row["x_high"]) == (2.0, 2.0, 2.0) and np.isnan(
-        row["x_seeds_low"]
-    )

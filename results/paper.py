@@ -1,0 +1,271 @@
+"""What the paper says of its methods, and what our runs say of that.
+
+A sentence compares two kinds of runs by one number of each seed. By Welch's 95 % interval of their
+difference, or of the ratio of their geometric means, it *agrees*, if the interval lies where the
+sentence says, *disagrees*, if it lies wholly outside, and is *open* otherwise.
+"""
+
+import warnings
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+import evaluate
+from results.runs import by_group, read_all, where, with_primes
+from runtime.cli import Refused
+from runtime.kinds import Kind
+from tasks import LAMBDAS, TASKS, Grid
+
+SEEDS = range(10, 18)  # that count: nobody had seen them when the sentences were chosen
+# commits whose learner has the same bits, so that one comparison may be of all of them
+ONE_LEARNER = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e", "905d604"
+# fixed before the runs, of a difference or of the logarithm of a ratio
+MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
+RATIOS = "power", "J/m"
+WORDS = {"performance": "score", "peak": "peak", "power": "power", "J/m": "J/m"}
+TABLE1 = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37  # m/s, of EIPO, PPO(LAMBDAS)
+
+
+def ppo(*lams):
+    """The kinds PPO(lam)."""
+    return [Kind("ppo", lam) for lam in lams]
+
+
+def eipo(task, **changes):
+    """The kind of EIPO from the start that the paper names, in a list."""
+    lam = TASKS[task].learner["lam"]
+    return [Kind("eipo", lam, **changes)]
+
+
+P0, TUNED, EVERY = ppo(0), ppo(0.005), ppo(*LAMBDAS)
+FLAT, ROUGH, FAST = eipo("flat"), eipo("rough"), eipo("velocity")
+# the runs on curriculum that are kept have another step of alpha than today's default
+STEP = dict(other=("lr_alpha 0.5", "momentum_alpha 0.99"))
+WIDE, SMOOTH = eipo("curriculum", **STEP), eipo("curriculum", aux="smooth", **STEP)
+SHAPED = [Kind("ppo", 0, reward="shaped")]
+SCORE, PEAK, POWER, PER_METRE = "performance", "peak", "power", "J/m"
+ALL, EACH = (-np.inf, np.inf), "each"  # commands: v_x [m/s] from and to, or each by itself
+BOX, SPEED, TURNING = "start box", "high v_x", "high yaw rate"  # of curriculum
+
+
+class Sentence(NamedTuple):
+    """A sentence of the paper, which compares kinds of runs: each on the left with each right."""
+
+    place: str  # in the paper
+    says: str  # shortened
+    statistic: str  # of evaluate.numbers
+    left: list  # of kinds
+    claimed: str  # >, <, similar (within the margin), no worse, no more (than by the margin)
+    right: list
+    commands: object = ALL
+    printed: tuple = ()  # the differences that the paper prints, one for each right or left one
+
+
+def rival(eipo):
+    """The kinds of pi' of these kinds of EIPO."""
+    return [kind._replace(prime=True) for kind in eipo]
+
+
+FASTER = [TABLE1[0] - x for x in TABLE1[1:]]
+SLOWER = [x - TABLE1[1] for x in TABLE1[2:]]
+PAPER = dict(
+    flat=[
+        ("V-A", "EIPO outperforms tuned PPO", SCORE, FLAT, ">", TUNED),
+        ("V-A", "and PPO without energy", SCORE, FLAT, ">", P0),
+        ("V-A", "at every command", SCORE, FLAT, ">", P0 + TUNED, EACH),
+        ("V-A", "EIPO spends less than PPO(0)", PER_METRE, FLAT, "<", P0),
+        ("V-A", "and so does tuned PPO", PER_METRE, TUNED, "<", P0),
+        ("Fig. 2", "EIPO spends more than tuned PPO", PER_METRE, FLAT, ">", TUNED),
+        ("V-A", "at low commands", PER_METRE, FLAT, ">", TUNED, (0.1, 0.5)),
+        ("V-A", "and as much at high ones", PER_METRE, FLAT, "similar", TUNED, (0.6, 1)),
+        ("abstract", "with power like tuned PPO's", POWER, FLAT, "similar", TUNED),
+        ("V-C", "EIPO outperforms PPO at every lambda", SCORE, FLAT, ">", EVERY),
+        ("V-C", "and command", SCORE, FLAT, ">", EVERY, EACH),
+        ("Eq. (3)", "pi is as good as pi'", SCORE, FLAT, "no worse", rival(FLAT)),
+        ("Eq. (3)", "on less power", POWER, FLAT, "<", rival(FLAT)),
+    ],
+    rough=[
+        ("V-B", "EIPO beats tuned PPO above 0.4 m/s", SCORE, ROUGH, ">", TUNED, (0.5, 1)),
+        (
+            "Fig. 3",
+            "it matches PPO at every command",
+            SCORE,
+            ROUGH,
+            "no worse",
+            P0 + TUNED,
+            EACH,
+        ),
+        ("abstract", "EIPO outperforms tuned PPO", SCORE, ROUGH, ">", TUNED),
+        ("V-B", "PPO(0) fails, EIPO does not", SCORE, ROUGH, ">", P0),
+        ("V-B", "energy helps PPO", SCORE, TUNED, ">", P0),
+        ("V-B", "EIPO spends less than tuned PPO", PER_METRE, ROUGH, "<", TUNED),
+        ("Fig. 3", "and than PPO(0)", PER_METRE, ROUGH, "<", P0),
+        ("abstract", "with power like tuned PPO's", POWER, ROUGH, "similar", TUNED),
+        (
+            "V-C",
+            "EIPO matches PPO at low commands",
+            SCORE,
+            ROUGH,
+            "similar",
+            EVERY,
+            (0, 0.3),
+        ),
+        ("V-C", "and outperforms every lambda above", SCORE, ROUGH, ">", EVERY, (0.4, 1)),
+        ("Eq. (3)", "pi is as good as pi'", SCORE, ROUGH, "no worse", rival(ROUGH)),
+        ("Eq. (3)", "on less power", POWER, ROUGH, "<", rival(ROUGH)),
+    ],
+    velocity=[
+        ("V-D", "EIPO is faster than PPO at every lambda", PEAK, FAST, ">", EVERY, ALL, FASTER),
+        ("V-D", "every weight makes PPO slower", PEAK, EVERY[1:], "<", P0, ALL, SLOWER),
+        ("abstract", "EIPO's power is like PPO(0)'s", POWER, FAST, "similar", P0),
+    ],
+    curriculum=[
+        ("V-E", "tuned PPO does worse than EIPO", SCORE, TUNED, "<", WIDE),
+        ("V-E", "and than shaped PPO", SCORE, TUNED, "<", SHAPED),
+        ("V-E", "EIPO does as well as shaped PPO", SCORE, WIDE, "similar", SHAPED),
+        ("V-E", "on no more power", POWER, WIDE, "no more", SHAPED),
+        ("V-E", "but worse in sharp turns", SCORE, WIDE, "<", SHAPED, TURNING),
+        ("V-E", "and better at high speed", SCORE, WIDE, ">", SHAPED, SPEED),
+        ("V-E", "smooth EIPO does as well as shaped PPO", SCORE, SMOOTH, "similar", SHAPED),
+        ("V-E", "on less power", POWER, SMOOTH, "<", SHAPED),
+        ("V-E", "and more than EIPO", POWER, SMOOTH, ">", WIDE),
+        ("V-E", "at the first commands: EIPO as shaped PPO", SCORE, WIDE, "similar", SHAPED, BOX),
+        ("V-E", "on no more power", POWER, WIDE, "no more", SHAPED, BOX),
+        ("V-E", "smooth EIPO as shaped PPO", SCORE, SMOOTH, "similar", SHAPED, BOX),
+        ("V-E", "on less power", POWER, SMOOTH, "<", SHAPED, BOX),
+    ],
+)
+
+
+# ---- two kinds by one number of each seed ----
+
+
+class Comparison(NamedTuple):
+    """Two arms by one number of each seed: a difference of means, or a ratio of geometric ones."""
+
+    left: float  # the means
+    right: float
+    difference: float  # of a ratio all three are logarithms
+    low: float  # of Welch's 95 % interval
+    high: float
+    is_ratio: bool
+
+    def __str__(self):
+        ends = self.difference, self.low, self.high
+        if not np.isfinite(ends).all():
+            return f"{self.left:.3g} and {self.right:.3g}"
+        if self.is_ratio:
+            center, low, high = (f"{x:.2f}" for x in np.exp(ends))
+            return f"x {center} [{low}, {high}]"
+        center, low, high = (f"{x:+.3f}" for x in ends)
+        return f"{center} [{low}, {high}]"
+
+
+def compare(x, y, is_ratio=False):
+    """The Comparison of two arms by the numbers (seeds,) of each. Its ends are NaN if they have
+    fewer than three seeds, or numbers that are not finite.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # seeds that are alike, or a watt of 0
+        x, y = (np.log(x), np.log(y)) if is_ratio else (np.asarray(x), np.asarray(y))
+        ends = np.nan, np.nan
+        if min(len(x), len(y)) >= 3 and np.isfinite([*x, *y]).all():
+            ends = stats.ttest_ind(x, y, equal_var=False).confidence_interval(0.95)
+        means = np.exp([x.mean(), y.mean()]) if is_ratio else (x.mean(), y.mean())
+        return Comparison(*means, x.mean() - y.mean(), *ends, is_ratio)
+
+
+def verdict(low, high, claimed, margin):
+    """agrees, disagrees or open; low, high: of an interval, in which NaN decides nothing."""
+    where_it_says = {
+        ">": (0, np.inf),
+        "<": (-np.inf, 0),
+        "similar": (-margin, margin),
+        "no worse": (-margin, np.inf),
+        "no more": (-np.inf, margin),
+    }
+    least, greatest = where_it_says[claimed]
+    if least < low and high < greatest:
+        return "agrees"
+    return "disagrees" if high < least or greatest < low else "open"
+
+
+def asked(did, commands):
+    """Which rows of `did` ask for some commands, as Sentence has them, (n,) bool."""
+    v_x, yaw = did["asked_v_x"], np.abs(did["asked_yaw"])
+    if commands == BOX:
+        return (np.abs(v_x) <= Grid.START) & (yaw <= Grid.START)
+    if commands in (SPEED, TURNING):
+        fast, turning = v_x >= 2.5, yaw >= 2.5
+        return fast & ~turning if commands == SPEED else turning & ~fast
+    low, high = commands
+    return (v_x > low - 0.01) & (v_x < high + 0.01)
+
+
+def number(run, statistic, commands):
+    """One of evaluate.numbers of a Run, at some commands; NaN if it was asked for none of them."""
+    mine = asked(run.did, commands)
+    return evaluate.numbers(where(mine, run.did))[statistic] if mine.any() else np.nan
+
+
+# ---- the rows ----
+
+
+def counted(places):
+    """The runs of SEEDS by group and kind, of which "pi' of EIPO ..." is one, too.
+
+    Refused if those of a group are of several learners, or of unknown or changed source.
+    """
+    groups = by_group(run for run in read_all(places) if run.settings["seed"] in SEEDS)
+    if not groups:
+        raise Refused(f"none of these runs has a seed from {SEEDS[0]} to {SEEDS[-1]}")
+    for kinds in groups.values():
+        commits = {start["commit"] for arm in kinds.values() for x in arm for start in x.starts}
+        unsure = [x for x in commits if x == "unknown" or x.endswith("+")]  # one may be several
+        if len({ONE_LEARNER if x[:7] in ONE_LEARNER else x for x in commits}) > 1 or unsure:
+            what = "a comparison is of one learner, known and unchanged, and not of the commits"
+            raise Refused(f"{what} {', '.join(sorted(commits))}")
+    return {group: with_primes(kinds) for group, kinds in groups.items()}
+
+
+def paper(places):
+    """Yields a row of Markdown for each sentence of the paper and each length of our runs."""
+    groups = counted(places)
+    yield "| paper | says | our runs | came out [95 %] | verdict |"
+    yield "|---|---|---|---|---|"
+    for task, sentences in PAPER.items():
+        lengths = [group for group in groups if group.task == task]
+        for group in sorted(lengths, key=lambda group: -group.iterations):
+            for sentence in (Sentence(*parts) for parts in sentences):
+                if cells := cells_of(sentence, groups[group]):
+                    yield f"| {sentence.place} | {sentence.says} | {group} | {' | '.join(cells)} |"
+
+
+def cells_of(sentence, kinds):
+    """What came out of the kinds of a group, and the verdict; None if a side has no runs.
+
+    A sentence about several weights or commands says at how many it agrees, and has no verdict.
+    """
+    pairs = [(left, right) for left in sentence.left for right in sentence.right]
+    ranges = [sentence.commands]
+    if sentence.commands == EACH:
+        ranges = [(x / 10, x / 10) for x in range(11)]
+    statistic, words, excluded, shown = sentence.statistic, [], 0, None
+    for i, (left, right) in enumerate(pairs):
+        for commands in ranges * (left in kinds and right in kinds):
+            x, y = ([number(run, statistic, commands) for run in kinds[k]] for k in (left, right))
+            shown = compare(x, y, statistic in RATIOS)
+            ends = shown.low, shown.high
+            words.append(verdict(*ends, sentence.claimed, MARGINS[statistic]))
+            if sentence.printed:
+                excluded += sentence.printed[i] < ends[0] or ends[1] < sentence.printed[i]
+    if not words:
+        return None
+    if len(pairs) * len(ranges) == 1:
+        return f"{WORDS[statistic]} {shown}", words[0]
+    count = Counter(words)
+    counts = ", ".join(f"{word} at {count[word]}" for word in ("agrees", "disagrees", "open"))
+    differences = f"; excludes {excluded} of the printed differences" * bool(sentence.printed)
+    return f"{WORDS[statistic]}: {counts}{differences}", ""
