@@ -2,6 +2,7 @@
 
     a figure   fig2 fig3 fig4 fig5 fig6 table1 alpha weights, as PNG and CSV in --out
     table      a line for each kind of run: score, power, falls, energy, and the score of each seed
+    short      the same with fewer columns, as our pages show it
     readme     the table of README.md
     paper      a line for each sentence of the paper that compares methods, with a verdict
     add        play the policies of run folders, and keep each in a file of --results
@@ -28,7 +29,7 @@ from runtime import run_folder
 from runtime.cli import COUNT, Parser, Refused, a_path, misfit, program
 
 FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "alpha", "weights"
-TABLES = dict(table=tables.table, readme=tables.readme, paper=paper.paper)
+TABLES = dict(table=tables.table, short=tables.short, readme=tables.readme, paper=paper.paper)
 TAKEN_BY = dict(out=FIGURES, results=("add",), episodes=("add",))
 
 

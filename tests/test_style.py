@@ -12,6 +12,7 @@ import pytest
 
 import eipo
 import train
+from results import paper, tables
 from runtime import flags
 
 ROOT = Path(train.__file__).parent
@@ -183,12 +184,67 @@ def test_every_deviation_that_is_cited_is_an_entry():
             assert cited <= set(entries), path
 
 
-def test_what_pages_point_at_exists():
+# words at most, as `wc -w` counts them
+PAGES = {
+    "README.md": 850,
+    "tutorial.md": 5700,
+    "deviations.md": 2900,
+    "results/README.md": 1800,
+    "results/paper.md": 1300,
+    "docs/deploy.md": 900,
+    "docs/runs.md": 700,
+    "tests/paper/README.md": 450,
+}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_is_short_and_reads_as_it_is_meant(page):
+    """No line of a paragraph begins like an item of a list, of which GitHub would make one."""
+    text = (ROOT / page).read_text()
+    assert len(text.split()) <= PAGES[page]
+    prose = re.sub(r"^```.*?^```$|^    .*$", "", text, flags=re.M | re.S)
+    for paragraph in re.split(r"\n\s*\n", prose):
+        first, *rest = paragraph.strip().splitlines() or [""]
+        item = r"\s*([-+*]|\d+[.)])\s"
+        wrong = [line for line in rest if re.match(item, line) and not re.match(item, first)]
+        assert not wrong, wrong[0]
+
+
+def test_there_is_no_other_page():
+    found = {str(path.relative_to(ROOT)) for path in ROOT.rglob("*.md")}
+    assert {page for page in found if not page.startswith((".", "runs/"))} == set(PAGES)
+
+
+def anchors(page):
+    """The anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.M)
+    return {re.sub(r"[^\w\- ]", "", x.lower()).replace(" ", "-") for x in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_somewhere(page):
+    place = (ROOT / page).parent
+    for link in re.findall(r"\]\(([^):]+)\)", (ROOT / page).read_text()):
+        file, _, anchor = link.partition("#")
+        target = place / file if file else ROOT / page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_tables_of_pages_are_what_the_commands_print():
+    """If this fails because a run was added: print them again, and read the sentences around."""
+    places = [ROOT / "results" / task for task in ("flat", "rough", "velocity", "curriculum")]
+    page = (ROOT / "README.md").read_text()
+    assert "\n".join(tables.readme(places)) in page
+    page = (ROOT / "results/README.md").read_text()
+    for place in places:
+        for table in "\n".join(tables.short([place])).split("\n\n"):
+            assert table.strip() in page
+    assert "\n".join(paper.paper(places)) in (ROOT / "results/paper.md").read_text()
+
+
+def test_what_the_readme_points_at_exists():
     text = (ROOT / "README.md").read_text()
-    pages = [str(path.relative_to(ROOT)) for path in ROOT.glob("docs/*.md")]
-    for page in ("README.md", "deviations.md", "tests/paper/README.md", *pages):
-        for link in re.findall(r"\]\(([^)#:]+)\)", (ROOT / page).read_text()):
-            assert (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
     shown = re.findall(r"play\.py (results/\S+)", text)
     assert shown and all((ROOT / folder / "policy.npz").exists() for folder in shown)
     for name in re.findall(r"`([\w/]+\.(?:py|xml|txt))`", text):
