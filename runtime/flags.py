@@ -30,28 +30,19 @@ class Options:
 
 
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
-# What each number may be, also both ends of a range: as much as can be simulated or learned from.
 FACTOR = {"at least": 1e-9, "at most": 10**9}  # products of a few still fit into float32
-FACTOR_OR_0 = {"at least": 0, "at most": 10**9}
-SHARE = {"at least": 0, "at most": 1}
-LIMITS = dict(
+# What a number of each type may be, also both ends of a range: as much as can be simulated or
+# learned from. 0 turns something off: the clock, noise, the adaption of lr, a weight, alpha's steps
+LIMITS_OF = {int: COUNT, float: FACTOR | {"at least": 0}}
+# with 0 nothing would be learned; elsewhere a clip_alpha of 0 means that nothing is clipped
+NOT_0 = "action_limit", "clip_eps", "max_grad_norm", "reward_scale", "clip_alpha"
+LIMITS = dict.fromkeys(NOT_0, FACTOR) | dict(  # of all that have limits of their own
     threads={"at least": 1, "at most": 1024},
-    checkpoint_every=COUNT,
-    # the world
-    history=COUNT,
-    episode_steps=COUNT,
-    command_steps=COUNT,
     timestep={"at least": 1e-5, "at most": 0.02},  # with 0.03 s the joints of a PD motor oscillate
-    physics_steps=COUNT,
-    clock_hz=FACTOR_OR_0,  # 0: the clock stands still
-    action_limit=FACTOR,
-    noise=FACTOR_OR_0,
     roughness={"at least": 0, "at most": 10},
     # a cell needs two points: Perlin noise is 0 at its corners, so that of 20 cells is 0 everywhere
     cells_per_m={"at least": 1, "at most": round(1 / (2 * terrain.SPACING))},
-    ground_seed=SEED,
     start_spread={"at least": 0, "at most": 10},
-    tiles=COUNT,
     friction={"at least": 1e-3, "at most": 100},  # with less MuJoCo's contacts explode
     payload={"at most": 100},  # at least so much that the trunk keeps some mass, see `check`
     com={"at least": -1, "at most": 1},
@@ -60,28 +51,16 @@ LIMITS = dict(
     gravity={"at least": -9, "at most": 9},  # things still fall
     latency={"at least": 0, "at most": 1000},
     max_power={"above": 0},  # inf: no limit
-    # the learner
     num_epochs=COUNT | {"at most": 10**4},  # JAX counts minibatches in 32 bits
     num_minibatches=COUNT | {"at most": 10**5},
     lr={"at least": 1e-9, "at most": 1},
-    target_kl=FACTOR_OR_0,  # 0: lr stays
-    gamma=SHARE,
-    gae_lambda=SHARE,
-    clip_eps=FACTOR,
-    ent_coef=FACTOR_OR_0,
-    max_grad_norm=FACTOR,
-    reward_scale=FACTOR,
     log_std=dict(zip(("at least", "at most"), LOG_STD_RANGE, strict=True)),
-    hidden=COUNT,
-    hidden_estimator=COUNT,
-    lam=FACTOR_OR_0,
-    seed=SEED,
     num_envs=COUNT | {"at most": 2**31 - 1},  # what MuJoCo's batch takes
-    iterations=COUNT,
-    num_steps=COUNT,
-    lr_alpha=FACTOR_OR_0,  # 0: alpha stays
-    clip_alpha=FACTOR,  # not 0, which elsewhere means that nothing is clipped
     momentum_alpha={"at least": 0, "below": 1},  # with 1 a gradient would count for ever
+    gamma={"at least": 0, "at most": 1},
+    gae_lambda={"at least": 0, "at most": 1},
+    seed=SEED,
+    ground_seed=SEED,
 )
 ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
 
@@ -119,6 +98,13 @@ def kind_of(field):
     return dict(type=kind, metavar={int: "N", float: "X", str: "TEXT"}[kind])
 
 
+def limits():
+    """What each number may be, as `misfit` takes it. Fields that are no numbers have no limits."""
+    all_fields = [field for config in GROUPS.values() for field in fields(config)]
+    types = {field.name: kind_of(field).get("type") for field in all_fields}
+    return {name: LIMITS.get(name, LIMITS_OF[t]) for name, t in types.items() if t in LIMITS_OF}
+
+
 def parse(argv):
     """The flags that were given: one dict of fields for each of GROUPS."""
     about = "\n".join(f"  {name:<10}  {task.about}" for name, task in tasks.TASKS.items())
@@ -151,7 +137,7 @@ def settle(given_env, given_learner):
 
 def check(options, env_cfg, cfg):
     """Refuse settings with which nothing sensible can be learned, by themselves or together."""
-    if line := misfit(vars(options) | vars(env_cfg) | vars(cfg), LIMITS):
+    if line := misfit(vars(options) | vars(env_cfg) | vars(cfg), limits()):
         raise Refused(line)
     for name, x in vars(env_cfg).items():
         if isinstance(x, tuple) and x[0] > x[1]:
