@@ -30,10 +30,9 @@ def way_to_draw():
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only wait
-has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-if sys.platform == "linux" and ("--gif" in " ".join(sys.argv) or not has_display):
-    if "MUJOCO_GL" not in os.environ:  # which MuJoCo reads on import
-        os.environ["MUJOCO_GL"] = way_to_draw()
+    if sys.platform == "linux" and "--gif" in " ".join(sys.argv):
+        if "MUJOCO_GL" not in os.environ:  # which MuJoCo reads on import
+            os.environ["MUJOCO_GL"] = way_to_draw()
 
 import numpy as np
 
@@ -42,6 +41,7 @@ import go1_env
 import tasks
 from runtime import run_folder, viewer
 from runtime.cli import SEED, Parser, Refused, a_path, is_place_for, misfit, program
+from runtime.kinds import Kind
 
 LIMITS = dict(
     port={"at least": 0, "at most": 65535},
@@ -73,23 +73,13 @@ def play(env, pi, seed=0):
         yield info["log"]
 
 
-def kind(pi):
-    """What a Policy comes from: PPO(lambda), or EIPO and its start if that is not its task's, and
-    which cost or reward.
-    """
-    lam, algo = pi.about["lam"], pi.about["algo"]
-    usual = tasks.TASKS[pi.config["task"]].learner.get("lam", lam)
-    name = f"PPO({lam:g})" if algo == "ppo" else "EIPO" + f" from {lam:g}" * (lam != usual)
-    aux, reward = pi.config["aux"], pi.config["reward"]
-    return name + " smooth" * (aux == "smooth") + " shaped" * (reward == "shaped")
-
-
 def names_of(folders, policies):
     """What runs are called side by side: by their kinds, or else by their folders.
 
     A policy of an older run does not say what it is, and no two runs shall have the same name.
     """
-    kinds = [kind(pi) for pi in policies if pi.about]
+    told = [(pi.about, pi.config) for pi in policies if pi.about]
+    kinds = [str(Kind(x["algo"], x["lam"], y["aux"], y["reward"])) for x, y in told]
     for names in (kinds, [folder.resolve().name for folder in folders]):
         if len({*names}) == len(folders):
             return names
@@ -152,7 +142,8 @@ def main(argv):
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
     if args.gif and not is_place_for(args.gif, ".gif"):
-        raise Refused(f"--gif is {args.gif}: it must end in .gif, and its folder must exist")
+        what = "it must end in .gif, in a folder that exists and can be written to"
+        raise Refused(f"--gif is {args.gif}: {what}")
     loaded = [run_folder.load_policy(run / "policy.npz") for run in args.runs]
     policies, configs = zip(*loaded, strict=True)
     examples = [tasks.TASKS[env_cfg.task].commands().example for env_cfg in configs]

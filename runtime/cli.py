@@ -93,7 +93,9 @@ def a_path(text):
 
 def is_place_for(path, suffix):
     """Whether a file of this kind can be written there; path: a Path that somebody gave."""
-    return path.suffix.lower() == suffix and path.resolve().parent.is_dir() and not path.is_dir()
+    is_file = path.suffix.lower() == suffix and not path.is_dir()
+    folder = path.resolve().parent
+    return is_file and folder.is_dir() and os.access(folder, os.W_OK)
 
 
 def tuples(settings):
