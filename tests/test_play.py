@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -70,21 +71,20 @@ def moves(pictures):
 
 
 @needs_gl
-@pytest.mark.parametrize("task", ["flat", "velocity"])
-def test_a_gif_without_a_display(runs, tmp_path, task):
+def test_a_gif_without_a_display(runs, tmp_path):
     """0.1 s are 5 steps of 20 ms, each shown for 80 ms. Something moves from each to the next."""
-    pictures, duration = gif_of(tmp_path / "a.gif", runs[task], "--seconds", "0.1")
+    pictures, duration = gif_of(tmp_path / "a.gif", runs["flat"], "--seconds", "0.1")
     assert pictures.shape == (5, 270, 480, 3) and duration == 80
     assert moves(pictures)
 
 
 @needs_gl
 def test_three_runs_move_side_by_side(runs, tmp_path):
-    """Three panels of 320 pixels. In real time there is a picture of each third of 10 steps."""
+    """Three panels of 320 pixels. In real time there is a picture of each third of 5 steps."""
     three = runs["flat"], runs["rough"], runs["flat"]
-    real_time = ["--seconds", "0.2", "--slow", "1"]
+    real_time = ["--seconds", "0.1", "--slow", "1"]
     pictures, duration = gif_of(tmp_path / "a.gif", *three, *real_time)
-    assert pictures.shape == (4, 180, 3 * 320, 3) and duration == 60
+    assert pictures.shape == (2, 180, 3 * 320, 3) and duration == 60
     left, middle, right = np.split(pictures, 3, axis=2)
     assert all(map(moves, (left, middle, right)))
     here = np.s_[:, 50:-30]  # without what is written
@@ -93,24 +93,21 @@ def test_three_runs_move_side_by_side(runs, tmp_path):
 
 @pytest.mark.parametrize(
     ("slow", "milliseconds", "says"),
-    [
-        ("", 80, "4 times slower"),
-        ("--slow 1.3", 30, "1.5 times slower"),
-        ("--slow 1.2", 20, "in real time"),
-        ("--slow 0.2", 20, "in real time"),
-        ("--slow 100", 2000, "100 times slower"),
-    ],
+    [("", 80, "4 times slower"), ("--slow 1.3", 30, "1.5 times"), ("--slow 0.2", 20, "real time")],
 )
-def test_a_gif_says_how_fast_it_is(runs, monkeypatch, slow, milliseconds, says):
+def test_a_gif_says_how_fast_it_is_and_what_its_last_second_was(
+    runs, monkeypatch, slow, milliseconds, says
+):
     """It shows a step of 20 ms for whole hundredths of a second, of which browsers take one for
     ten.
     """
-    monkeypatch.setattr(viewer, "film", lambda *_: ([None], [dict(v_x=1.0, power=300.0)]))
-    saved = []
+    means, saved = [dict(v_x=1.0, power=300.0), dict(v_x=2.0, power=100.0)], []
+    monkeypatch.setattr(viewer, "film", lambda *_: ([None] * 2, means))
     monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
     assert play.main([str(runs["flat"]), "--gif", "a.gif", *slow.split()]) == 0
-    ((_, _, ((caption,),), foot, duration),) = saved
-    assert f", {says}\n" in caption and duration == milliseconds and not foot
+    ((_, _, (captions,), foot, duration),) = saved
+    assert duration == milliseconds and not foot and len(captions) == 2
+    assert all(says in x and "v_x 2.0 m/s   100 W" in x for x in captions)
 
 
 def test_panels_say_who_does_what_when_asked_for_the_same(runs, monkeypatch):
@@ -132,16 +129,6 @@ def test_panels_say_who_does_what_when_asked_for_the_same(runs, monkeypatch):
     assert foot == "asked 0.5 m/s, -0.25 m/s aside, 2 rad/s   4 times slower"
 
 
-def test_a_caption_stands_in_its_panel(tmp_path):
-    """The foot is below the first one."""
-    panels = np.full((3, 1, 90, 100, 3), 255, np.uint8)
-    viewer.save_gif(tmp_path / "a.gif", panels, [[""], ["EIPO"], [""]], "foot", 80)
-    with Image.open(tmp_path / "a.gif") as gif:
-        dark = np.asarray(gif.convert("L")) < 128
-    written = dark.reshape(2, 45, 3, 100).any((1, 3))  # above and below, of each panel
-    assert written.tolist() == [[False, True, False], [True, False, False]]
-
-
 def test_numbers_are_means_over_the_last_second(env, monkeypatch):
     """The logs say 0, 1, 2, ...; of 0 to 49, the first second, there is no picture."""
     monkeypatch.setenv("MUJOCO_GL", "egl")
@@ -159,55 +146,26 @@ EIPO, PPO = dict(algo="eipo", lam=0.005), dict(algo="ppo", lam=0.01)
 @pytest.mark.parametrize(
     ("folders", "abouts", "names"),
     [
-        ("x/a x/b", (EIPO, PPO), ["EIPO from 0.005", "PPO(0.01)"]),
-        ("x/a x/b", (EIPO, PPO | dict(lam=0.0)), ["EIPO from 0.005", "PPO(0) smooth shaped"]),
+        ("x/a x/b", (EIPO, PPO), ["EIPO from 0.005 smooth", "PPO(0.01) smooth"]),
         ("x/a x/b x/c", (EIPO, PPO, EIPO), ["a", "b", "c"]),
         ("x/a x/b", (EIPO, {}), ["a", "b"]),
         ("x/a y/a", ({}, {}), ["x/a", "y/a"]),
     ],
 )
 def test_runs_have_the_names_of_the_tables_or_of_their_folders(folders, abouts, names):
-    paper, other = dict(aux="energy", reward="paper"), dict(aux="smooth", reward="shaped")
-    policies = [
-        SimpleNamespace(about=about, config=other if "shaped" in name else paper)
-        for about, name in zip(abouts, names, strict=True)
-    ]
+    config = dict(aux="smooth", reward="paper")
+    policies = [SimpleNamespace(about=about, config=config) for about in abouts]
     named = play.names_of([Path(x) for x in folders.split()], policies)
     assert [str(name) for name in named] == names
 
 
-def test_the_caption_of_a_gif_is_of_its_last_second(runs, monkeypatch):
-    means = [dict(v_x=1.0, power=300.0), dict(v_x=2.0, power=100.0)]
-    saved = []
-    monkeypatch.setattr(viewer, "film", lambda *_: ([None] * 2, means))
-    monkeypatch.setattr(viewer, "save_gif", lambda *given: saved.append(given))
-    assert play.main([str(runs["flat"]), "--gif", "a.gif"]) == 0
-    (captions,) = saved[0][2]
-    assert len(captions) == 2 and all("v_x 2.0 m/s   100 W" in x for x in captions)
-
-
 def test_legs_of_one_colour_are_diagonal(env):
     model, _ = viewer.make_scene(env)
-    seen = {
-        leg: {
-            tuple(model.geom_rgba[i])
-            for i in range(model.ngeom)
-            if model.geom_group[i] == 2 and model.body(model.geom_bodyid[i]).name.startswith(leg)
-        }
-        for leg in go1.LEGS
-    }
-    assert seen["FR"] == seen["RL"] != seen["FL"] == seen["RR"]
-    assert all(len(colours) == 1 for colours in seen.values())
-
-
-def test_the_camera_is_in_front_of_the_robot_on_its_right(env):
-    """It looks along (cos, sin) of its azimuth. The robot heads for +y, so right is +x."""
-    model, _ = viewer.make_scene(env)
-    env.qpos[0, 3:7] = 0.5**0.5, 0, 0, 0.5**0.5
-    camera = mujoco.MjvCamera()
-    viewer.point(camera, env, model)
-    x, y = -np.cos(np.radians(camera.azimuth)), -np.sin(np.radians(camera.azimuth))
-    assert x > 0.9 and y > 0.3 and camera.elevation < 0
+    drawn = [i for i in range(model.ngeom) if model.geom_group[i] == 2]
+    of = [(model.body(model.geom_bodyid[i]).name[:2], tuple(model.geom_rgba[i])) for i in drawn]
+    colours = {leg: {colour for name, colour in of if name == leg} for leg in go1.LEGS}
+    assert colours["FR"] == colours["RL"] != colours["FL"] == colours["RR"]
+    assert all(len(x) == 1 for x in colours.values())
 
 
 # ---- what goes wrong ----
@@ -219,12 +177,10 @@ def test_without_opengl_a_line_says_what_to_do(runs, capsys, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a display is always there")
-@pytest.mark.parametrize("display", [{}, dict(DISPLAY=":9999")], ids=["none", "dead"])
-def test_without_a_display_that_works_a_line_says_what_to_do(runs, display):
+def test_without_a_display_that_works_a_line_says_what_to_do(runs):
     """As a process of its own, which GLFW would tell of it in a warning and MuJoCo would end."""
-    command = [sys.executable, "play.py", runs["flat"]]
-    env = HEADLESS | display
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+    options = dict(env=HEADLESS | dict(DISPLAY=":9999"), capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "play.py", runs["flat"]], cwd=ROOT, **options)
     says = "play.py: there is no display: give --web or --gif FILE\n"
     assert (done.returncode, done.stderr) == (2, says)
 
@@ -265,154 +221,117 @@ def test_macos_wants_mjpython(runs, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "given",
+    ("given", "says"),
     [
-        "--seed -1",
-        "--seed 4294967296",
-        "--seconds nan",
-        "--seconds 0",
-        "--seconds inf",
-        "--command nan 0 0",
-        "--command 0 inf 0",
-        "--slow 0",
-        "--slow -1",
-        "--slow nan",
-        "--port -1",
-        "--port 65536",
+        ("--seed -1", "--seed is -1: it must be at least 0"),
+        ("--slow 0", "--slow is 0.0: it must be above 0"),
+        ("--command 0 inf 0", "--command is inf: it must be"),
+        ("--seconds 2", "does nothing without"),
+        ("--web --seconds 2", "does nothing without"),
+        ("--port 8123", "does nothing without"),
+        ("--web --gif a.gif", "give one of them"),
+        ("elsewhere", "draw several with --gif FILE"),
+        ("elsewhere --web", "draw several with --gif FILE"),
     ],
 )
-def test_a_senseless_number_is_one_line(capsys, given):
-    with pytest.raises(SystemExit, match="2"):
-        play.main(["nowhere", *given.split()])
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"play.py: {given.split()[0]} is ") and "it must be" in line
-
-
-@pytest.mark.parametrize("given", ["--seconds 2", "--port 8123", "--web --seconds 2"])
-def test_a_flag_that_would_be_ignored_is_one_line(capsys, given):
+def test_flags_that_make_no_sense_are_one_line(capsys, given, says):
     """Before anything is read: there is no such run."""
     with pytest.raises(SystemExit, match="2"):
         play.main(["nowhere", *given.split()])
     (line,) = capsys.readouterr().err.splitlines()
-    assert "does nothing without" in line
+    assert line.startswith("play.py: ") and says in line
 
 
-@pytest.mark.parametrize("name", ["a.mp4", "a", "missing/a.gif", "folder.gif"])
-def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(capsys, tmp_path, name):
-    """Drawing takes a while, and nothing but a GIF is written, whatever the name says."""
+@pytest.mark.parametrize("name", ["a.mp4", "missing/a.gif", "folder.gif", "closed/a.gif"])
+def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(
+    capsys, tmp_path, monkeypatch, name
+):
+    """Drawing takes a while. To root, who may run the tests, no folder is closed."""
     (tmp_path / "folder.gif").mkdir()
-    says = error_of(capsys, play.main, "results/flat", "--gif", tmp_path / name)
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: path.name != "closed")
+    says = error_of(capsys, play.main, "nowhere", "--gif", tmp_path / name)
     assert "must end in .gif, in a folder that exists and can be written to" in says
 
 
-def test_a_folder_that_cannot_be_written_to_is_refused_before_anything_is_drawn(
-    capsys, tmp_path, monkeypatch
-):
-    """To root, which may be who runs the tests, no folder says no."""
-    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
-    says = error_of(capsys, play.main, "nowhere", "--gif", tmp_path / "a.gif")
-    assert "can be written to" in says
-
-
-@pytest.mark.parametrize("given", ["", "--web"])
-def test_several_runs_without_a_gif_are_refused_in_one_line(capsys, given):
-    """Before anything is read: there are no such runs."""
-    with pytest.raises(SystemExit, match="2"):
-        play.main(["nowhere", "elsewhere", *given.split()])
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("play.py: ") and "--gif FILE" in line
-
-
-def test_web_and_gif_are_two_things(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        play.main(["nowhere", "--web", "--gif", "a.gif"])
-    assert "give one of them" in capsys.readouterr().err
-
-
-def test_runs_that_cannot_be_asked_for_the_same_are_refused(runs, capsys, tmp_path):
-    argv = runs["flat"], runs["velocity"], "--gif", tmp_path / "a.gif"
-    assert "side by side" in error_of(capsys, play.main, *argv) and not [*tmp_path.iterdir()]
-
-
-def test_a_command_for_robots_that_have_none_is_refused(runs, capsys, tmp_path):
-    argv = runs["velocity"], "--command", 3, 0, 0, "--gif", tmp_path / "a.gif"
-    line = error_of(capsys, play.main, *argv)
-    assert "is of velocity, whose robots are not asked for a speed" in line
-    assert not [*tmp_path.iterdir()]
-
-
-def test_runs_of_unlike_control_steps_are_refused(runs, capsys, tmp_path):
+def test_what_cannot_be_asked_for_the_same_is_refused(runs, capsys, tmp_path):
+    """Nor a robot that has no commands for one."""
     pi, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
     params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
     run_folder.save_policy(tmp_path / "policy.npz", params, replace(env_cfg, physics_steps=2))
-    argv = runs["flat"], tmp_path, "--gif", tmp_path / "a.gif"
-    assert "control steps of one length" in error_of(capsys, play.main, *argv)
+    gif = "--gif", tmp_path / "a.gif"
+    for argv, says in (
+        ((runs["flat"], runs["velocity"]), "do not go side by side"),
+        ((runs["flat"], tmp_path), "control steps of one length"),
+        ((runs["velocity"], "--command", 3, 0, 0), "whose robots are not asked for a speed"),
+    ):
+        assert says in error_of(capsys, play.main, *argv, *gif)
+    assert not gif[1].exists()
 
 
 # ---- what is played ----
 
 
 @pytest.mark.parametrize(
-    "task, argv, command",
+    ("task", "argv", "command", "seed", "way"),
     [
-        ("flat", "", [1, 0, 0]),
-        ("velocity", "", [0, 0, 0]),
-        ("flat", "--command 0.5 -0.25 2", [0.5, -0.25, 2]),
+        ("flat", "", [1, 0, 0], 0, ("window", 1.0)),
+        ("velocity", "--slow 3", [0, 0, 0], 0, ("window", 3.0)),
+        ("flat", "--web --seed 7 --port 8123", [1, 0, 0], 7, ("browser", 8123, 1.0)),
+        ("flat", "--web --slow 3 --command 0.5 -0.25 2", [0.5, -0.25, 2], 0, ("browser", 0, 3.0)),
     ],
 )
-def test_the_command_is_the_tasks_greatest_or_the_given_one(runs, monkeypatch, task, argv, command):
+def test_what_is_asked_reaches_the_window_and_the_browser(
+    runs, monkeypatch, task, argv, command, seed, way
+):
+    """Without a word a robot is asked for its task's greatest command, in real time."""
     seen = []
-    monkeypatch.setattr(
-        viewer, "window", lambda env, steps, asked, *_: seen.append((next(steps), asked))
-    )
+
+    def show(name, env, steps, asked, *rest):
+        assert next(steps)["command_x"] == asked[0]
+        seen.append((asked.tolist(), env.state.friction.tolist(), (name, *rest)))
+
+    for name in ("window", "browser"):
+        monkeypatch.setattr(viewer, name, partial(show, name))
     assert play.main([str(runs[task]), *argv.split()]) == 0
-    ((log, asked),) = seen
-    assert asked.tolist() == command and log["command_x"] == command[:1]
+    _, env_cfg = run_folder.load_policy(runs[task] / "policy.npz")
+    env = play.make_env(env_cfg, np.zeros(3))
+    env.reset(seed)
+    assert seen == [(command, env.state.friction.tolist(), way)]
 
 
-@pytest.mark.parametrize(
-    "task, height",
-    [("rough", 0.15), ("velocity", 0.05), ("flat", 0)],
-)
+@pytest.mark.parametrize(("task", "height"), [("rough", 0.15), ("velocity", 0.05), ("flat", 0)])
 def test_the_ground_is_the_runs_roughest(task, height):
     """Sections IV-A.2 and IV-A.3: 15 cm and 5 cm, from lowest to highest point."""
     env = play.make_env(tasks.task_config(task), np.zeros(3))
-    assert (env.ground is None) == (height == 0)
-    assert env.ground is None or np.ptp(env.ground) == pytest.approx(height)
-    assert env.num_envs == 1 and env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
+    assert height == (0 if env.ground is None else pytest.approx(np.ptp(env.ground)))
 
 
 @pytest.mark.go1
-def test_a_robot_that_is_watched_starts_in_the_nominal_pose(env):
+def test_a_robot_that_is_watched_starts_in_the_nominal_pose_and_has_no_limit_of_time():
+    """A run that learned from the clip as printed is measured as all others are (D3)."""
+    env = play.make_env(tasks.Config(clip="torque"), np.zeros(3))
+    env.reset(0)
     assert env.qpos[0, 7:].tolist() == NOMINAL.tolist() and not env.qvel.any()
+    assert env.env_cfg.episode_steps >= 10**9 and not env.env_cfg.stagger
+    assert env.env_cfg.clip == evaluate.CLIP == "power"
 
 
-@pytest.mark.parametrize("way", ["", "--web --port 8123", "--gif a.gif --seconds 2"])
-@pytest.mark.parametrize("slow", [None, 3.0])
-def test_seed_and_pace_reach_the_window_the_browser_and_the_gif(runs, monkeypatch, way, slow):
-    """A GIF is four times slower without a word, the others in real time."""
-    seen = []
+def test_the_robot_hears_a_command_at_once():
+    env = play.make_env(tasks.task_config("flat"), asked := np.zeros(3))
+    env.reset(0)
+    for v_x in (0.25, 0.75):
+        asked[0] = v_x
+        env.step(np.zeros((1, 12)))
+        assert env.state.command[0, 0] == v_x
 
-    def show(env, steps, *rest):
-        next(steps)
-        seen.append((env.state.friction.tolist(), rest))
-        return [None], [dict(v_x=1.0, power=300.0)]
 
-    for name in ("window", "browser", "film"):
-        monkeypatch.setattr(viewer, name, show)
-    monkeypatch.setattr(viewer, "save_gif", lambda *given: seen.append(given[-1]))
-    argv = [str(runs["flat"]), *way.split(), "--seed", "7"]
-    assert play.main([*argv, *(["--slow", str(slow)] if slow else [])]) == 0
-    _, env_cfg = run_folder.load_policy(runs["flat"] / "policy.npz")
-    env = play.make_env(env_cfg, np.zeros(3))
-    env.reset(7)
-    (friction, rest), *gif = seen
-    assert friction == env.state.friction.tolist()
-    if "gif" in way:
-        assert rest[0] == 2.0 and gif == [20 * (slow or 4)]
-    else:
-        _, *ports, pace = rest
-        assert ports == ([8123] if way else []) and pace == (slow or 1.0)
+def test_an_import_takes_no_jax_and_starts_nothing():
+    """JAX would take a second to start, and another process as long."""
+    code = "import os, sys, play; print('jax' in sys.modules, 'MUJOCO_GL' in os.environ)"
+    command = [sys.executable, "-c", code, "--gif"]
+    done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
+    assert done.stdout == "False False\n"
 
 
 # ---- the window ----
@@ -456,27 +375,21 @@ def watch(monkeypatch, env, keys, command, *options):
 
 
 @pytest.mark.parametrize(
-    "keys, command",
+    ("task", "keys", "command"),
     [
-        ([glfw.KEY_UP, *[glfw.KEY_RIGHT] * 3], [0.6, 0, -0.1]),
-        ([*[glfw.KEY_DOWN] * 2, glfw.KEY_LEFT, glfw.KEY_SPACE, glfw.KEY_A], [0.3, 0, 0.3]),
-        ([glfw.KEY_UP, glfw.KEY_BACKSPACE, glfw.KEY_LEFT], [0, 0, 0.1]),
+        ("flat", [glfw.KEY_UP, glfw.KEY_RIGHT, glfw.KEY_RIGHT, glfw.KEY_A], [0.6, 0, 0]),
+        ("flat", [glfw.KEY_DOWN, glfw.KEY_LEFT], [0.4, 0, 0.3]),
+        ("flat", [glfw.KEY_UP, glfw.KEY_BACKSPACE, glfw.KEY_LEFT], [0, 0, 0.1]),
+        ("velocity", [glfw.KEY_UP, glfw.KEY_LEFT], [0.5, 0, 0.2]),  # which has no commands
     ],
 )
-def test_keys_set_the_command(monkeypatch, env, keys, command):
+def test_keys_set_the_command(monkeypatch, task, keys, command):
     """From 0.5 m/s and 0.2 rad/s: 0.1 for each press of an arrow, left is positive yaw. Backspace
     makes it 0, and other keys leave it.
     """
-    asked = np.array([0.5, 0, 0.2])
+    env = play.make_env(tasks.task_config(task), asked := np.array([0.5, 0, 0.2]))
     watch(monkeypatch, env, keys, asked)
     assert asked == pytest.approx(command)
-
-
-def test_keys_ask_nothing_of_a_robot_that_has_no_commands(monkeypatch):
-    env = play.make_env(tasks.task_config("velocity"), asked := np.zeros(3))
-    env.reset(0)
-    watch(monkeypatch, env, [glfw.KEY_UP, glfw.KEY_LEFT], asked)
-    assert not asked.any()
 
 
 def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch, env):
@@ -539,7 +452,7 @@ def hills():
     return env, *viewer.make_scene(env)
 
 
-@pytest.mark.parametrize("corner", [(0, 0), (0, 4), (4, 4), (1.35, 2.6)], ids=str)
+@pytest.mark.parametrize("corner", [(0, 4), (1.35, 2.6)], ids=str)
 def test_the_drawn_ground_is_the_simulated_one_on_all_sides(hills, corner):
     """Under the robot and ten metres around it, also at the edge of its tile, behind which it comes
     back on the other side. At the points of the height field nothing is interpolated.
@@ -552,27 +465,3 @@ def test_the_drawn_ground_is_the_simulated_one_on_all_sides(hills, corner):
         way = np.array(way) + 1e-6
         real = terrain.height(env.ground, terrain.wrap(env.qpos[0, :2] + way, np.array(0)))
         assert drawn_ground(model, data, data.qpos[:2] + way) == pytest.approx(real, abs=1e-4)
-
-
-def test_the_robot_hears_a_command_at_once(env):
-    asked = np.zeros(3)
-    env = play.make_env(tasks.task_config("flat"), asked)
-    env.reset(0)
-    for v_x in (0.25, 0.75):
-        asked[0] = v_x
-        env.step(np.zeros((1, 12)))
-        assert env.state.command[0, 0] == v_x
-
-
-def test_an_import_takes_no_jax_and_starts_nothing():
-    """JAX would take a second to start, and another process as long."""
-    code = "import os, sys, play; print('jax' in sys.modules, 'MUJOCO_GL' in os.environ)"
-    command = [sys.executable, "-c", code, "--gif"]
-    done = subprocess.run(command, cwd=ROOT, env=HEADLESS, capture_output=True, text=True)
-    assert done.stdout == "False False\n"
-
-
-def test_power_is_shown_by_one_formula():
-    """A run that learned from the clip as printed is measured as all others are (D3)."""
-    env = play.make_env(tasks.Config(clip="torque"), np.zeros(3))
-    assert env.env_cfg.clip == evaluate.CLIP == "power"
