@@ -171,9 +171,14 @@ def test_legs_of_one_colour_are_diagonal(env):
 # ---- what goes wrong ----
 
 
-def test_without_opengl_a_line_says_what_to_do(runs, capsys, monkeypatch):
+def test_opengl_that_is_missing_or_does_not_work_is_one_line(runs, capsys, monkeypatch, tmp_path):
+    argv = runs["flat"], "--gif", tmp_path / "a.gif"
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert "libegl1" in error_of(capsys, play.main, runs["flat"], "--gif", "a.gif")
+    assert "install libegl1" in error_of(capsys, play.main, *argv)
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setattr(mujoco, "Renderer", MagicMock(side_effect=ImportError("no EGL device")))
+    says = error_of(capsys, play.main, *argv)
+    assert "MUJOCO_GL=egl" in says and "libosmesa6" in says and not [*tmp_path.iterdir()]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a display is always there")
@@ -185,33 +190,23 @@ def test_without_a_display_that_works_a_line_says_what_to_do(runs):
     assert (done.returncode, done.stderr) == (2, says)
 
 
-@pytest.mark.parametrize(("drivers", "way"), [(True, "egl"), (False, "osmesa")])
-def test_osmesa_draws_where_egl_has_no_driver(monkeypatch, drivers, way):
+@pytest.mark.parametrize(
+    ("there", "drivers", "way", "tries"),
+    [
+        ("EGL OSMesa", True, "egl", 1),
+        ("EGL OSMesa", False, "osmesa", 1),
+        ("EGL", False, "egl", 0),
+        ("OSMesa", False, "osmesa", 0),
+        ("", False, "off", 0),
+    ],
+)
+def test_osmesa_draws_where_egl_has_no_driver(monkeypatch, there, drivers, way, tries):
     """Another process tries to draw with EGL, if there is a choice."""
-    tried = []
-
-    def run(command, env, **_):
-        tried.append(env["MUJOCO_GL"])
-        return SimpleNamespace(returncode=0 if drivers else 1)
-
+    run = MagicMock(return_value=SimpleNamespace(returncode=0 if drivers else 1))
     monkeypatch.setattr(subprocess, "run", run)
-    monkeypatch.setattr(ctypes.util, "find_library", "lib{}.so".format)
-    assert play.way_to_draw() == way and tried == ["egl"]
-    for only in ("EGL", "OSMesa"):
-        monkeypatch.setattr(ctypes.util, "find_library", lambda name, only=only: name == only)
-        assert play.way_to_draw() == only.lower()
-    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
-    assert play.way_to_draw() == "off" and tried == ["egl"]
-
-
-def test_opengl_that_does_not_work_is_one_line(runs, capsys, monkeypatch, tmp_path):
-    def renderer(*_):
-        raise ImportError("no EGL device")
-
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.setattr(mujoco, "Renderer", renderer)
-    says = error_of(capsys, play.main, runs["flat"], "--gif", tmp_path / "a.gif")
-    assert "MUJOCO_GL=egl" in says and "libosmesa6" in says and not [*tmp_path.iterdir()]
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: name in there.split())
+    assert play.way_to_draw() == way
+    assert [call.kwargs["env"]["MUJOCO_GL"] for call in run.mock_calls] == ["egl"] * tries
 
 
 def test_macos_wants_mjpython(runs, capsys, monkeypatch):

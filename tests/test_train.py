@@ -274,16 +274,13 @@ def test_head_ends_no_run(finished, tmp_path):
     assert rows(tmp_path) == rows(finished)
 
 
-def test_without_standard_output_a_command_ends_well(monkeypatch):
-    """`train.py >&-` closes it, and Python then has none."""
-    monkeypatch.setattr(sys, "stdout", None)
-    assert cli.program("any.py")(lambda argv: 0)([]) == 0
-
-
-def test_what_does_not_fit_into_memory_is_one_line(capsys):
+def test_memory_or_an_output_that_is_not_there_is_no_traceback(capsys, monkeypatch):
+    """`train.py >&-` closes standard output, and Python then has none."""
     assert cli.program("any.py")(lambda argv: np.zeros(10**15))([]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("any.py: Unable to allocate ")
+    monkeypatch.setattr(sys, "stdout", None)
+    assert cli.program("any.py")(lambda argv: 0)([]) == 0
 
 
 def test_ctrl_c_before_the_first_iteration_ends_at_once(tmp_path):
@@ -367,9 +364,9 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch)
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(run_folder.fcntl, "flock", no_locks)
-    run("--out", tmp_path / "run")
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "cannot be locked" in line and len(rows(tmp_path / "run")) == 3
+    with run_folder.lock(tmp_path):
+        (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be locked" in line
 
 
 def test_one_who_waits_for_a_folder_gets_it_next(tmp_path):
@@ -434,11 +431,12 @@ def test_a_run_is_never_overwritten_and_keeps_its_settings(finished, capsys, fla
     assert contents(finished) == before
 
 
-@pytest.mark.parametrize("name", run_folder.FILES)
-def test_any_file_of_a_run_is_kept(tmp_path, capsys, name):
-    (tmp_path / name).write_text("mine")
-    assert name in error_of(capsys, train.main, *TINY, "--out", tmp_path)
-    assert contents(tmp_path) == {name: b"mine"}
+def test_any_file_of_a_run_is_kept(tmp_path, capsys):
+    for name in run_folder.FILES:
+        (tmp_path / name).mkdir()
+        assert name in error_of(capsys, train.main, *TINY, "--out", tmp_path)
+        (tmp_path / name).rmdir()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_device_that_jax_does_not_have_is_one_line(tmp_path):
@@ -471,7 +469,7 @@ def test_a_picture_that_cannot_be_drawn_is_one_line(finished, capsys, monkeypatc
 
 
 def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
-    """With a + once it was changed."""
+    """With a + once it was changed, and unknown where git does not track it, as in a copy."""
 
     def changed(name, text="# other"):
         (tmp_path / name).write_text(text)
@@ -482,21 +480,16 @@ def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
     user = ["-c", "user.name=x", "-c", "user.email=x"]
     for command in ("init -q", "add .", "commit -q -m x"):
         subprocess.run(["git", *user, *command.split()], cwd=tmp_path, check=True)
+    monkeypatch.setenv("GIT_DIR", str(ROOT / "nowhere"))  # somebody's shell, of something else
     clean = run_folder.commit()
     assert len(clean) == 40 and changed("table") == clean  # which is no source
-    monkeypatch.setenv("GIT_DIR", str(ROOT / "nowhere"))  # somebody's shell, of something else
-    assert run_folder.commit() == clean
     for name in ("run_folder.py", "go1.xml"):
         assert changed(name, "mine") == clean + "+" and changed(name) == clean
     assert changed("new.py") == clean + "+"
-    # a copy that lies in this repository, and is not tracked by it
-    (tmp_path / "copy").mkdir()
-    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "copy" / "run_folder.py"))
+    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "new.py"))
     assert run_folder.commit() == "unknown"
-
-
-def test_a_git_that_cannot_be_run_is_no_error(monkeypatch):
-    monkeypatch.setenv("PATH", "")
+    monkeypatch.undo()
+    monkeypatch.setenv("PATH", "")  # there is no git
     assert run_folder.commit() == "unknown"
 
 
@@ -593,20 +586,6 @@ def test_steps_per_second_are_of_this_process(tmp_path, monkeypatch):
     log.add(20, NUMBERS | dict(steps=20 * 96))
     row = dict(zip(*(line.split(",") for line in log.lines), strict=True))
     assert (row["time_s"], row["steps_per_s"]) == ("4.0", "48.0")
-
-
-def test_curves_are_of_pi_and_of_its_rival(tmp_path, monkeypatch):
-    text = "steps,reward,prime_reward,alpha\n1000000,2,3,200\n2000000,4,5,100\n"
-    (tmp_path / "metrics.csv").write_text(text)
-    drawn = []
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda x, *_, **__: drawn.append(x))
-    metrics.draw_curves(tmp_path)
-    panels = {
-        axes.get_title(): {x.get_label(): x.get_xydata().tolist() for x in axes.lines}
-        for axes in drawn[0].axes
-    }
-    assert panels["reward per step"] == {"pi": [[1, 2], [2, 4]], "pi'": [[1, 3], [2, 5]]}
-    assert panels["alpha, the weight of the task"] == {"pi": [[1, 200], [2, 100]]}
 
 
 # ---- what JAX is told ----
