@@ -27,11 +27,16 @@ their own names, `config` as JSON, in which `about` is one entry more.
 """
 
 import json
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 NUMBERS = ("frame_scale", "q_nominal", "action_scale", "kp", "kd")
+# what lies beyond these is no measurement of a Go1, but a sensor that fails, or another unit
+LENGTH = 0.8, 1.2  # [-] of gravity, which has length 1
+REACH = np.tile([1.5, 4.0, 1.5], 4)  # [rad] of joint angles from q_nominal
+FASTEST = 100.0  # [rad/s] of joints
 
 
 @dataclass
@@ -57,28 +62,38 @@ class Policy:
 
     def start(self):
         """Forget what was seen, as at the start of an episode."""
-        self.steps, self.frames = 0, []
+        self.steps, self.frames, self.failed = 0, [], False
         self.action, self.estimate = np.zeros(12), np.zeros(3)
 
     def act(self, gravity, command, q, qd):
         """Joint targets (12,) [rad] for what a robot measures, in the units of the table above.
 
-        It leaves `estimate` and `action` behind. The networks see the last H frames, the oldest
-        first; at the start all of them are the first one. If a number is not finite, a sensor has
-        failed, and the last frame is seen once more; until there is one, the target is the pose of
-        action 0.
+        It leaves `estimate`, `action` and `failed` behind. The networks see the last H frames, the
+        oldest first; at the start all of them are the first one. If a number is not finite, or
+        cannot be of a Go1, a sensor has `failed`, and the last frame is seen once more; until there
+        is one, the target is the pose of action 0. Only a wrong shape is an error, a ValueError: a
+        robot whose program stops falls.
         """
-        period = self.config["timestep"] * self.config["physics_steps"]
-        phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
-        clock = [np.sin(phase), np.cos(phase)]
-        pose = np.subtract(q, self.q_nominal)
-        frame = np.concatenate([gravity, command, pose, qd, self.action, clock])
-        seen = (frame * self.frame_scale).astype(np.float32)
-        history = self.config["history"]
-        if not np.isfinite(seen).all():
-            if not self.frames:
-                return self.q_nominal.copy()
+        given = dict(gravity=(gravity, 3), command=(command, 3), q=(q, 12), qd=(qd, 12))
+        for name, (x, width) in given.items():
+            if np.shape(x) != (width,):
+                raise ValueError(f"{name} has the shape {np.shape(x)}, and not ({width},)")
+        gravity, command, q, qd = (np.asarray(x, float) for x, _ in given.values())
+        length, pose = math.hypot(*gravity), q - self.q_nominal
+        turns = (abs(pose) <= REACH).all() and (abs(qd) <= FASTEST).all()  # never if one is NaN
+        is_down = LENGTH[0] <= length <= LENGTH[1]
+        self.failed = not (is_down and turns and np.isfinite(command).all())
+        if not self.failed:
+            period = self.config["timestep"] * self.config["physics_steps"]
+            phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
+            clock = [np.sin(phase), np.cos(phase)]
+            frame = np.concatenate([gravity / length, command, pose, qd, self.action, clock])
+            seen = (frame * self.frame_scale).astype(np.float32)
+        elif self.frames:
             seen = self.frames[-1]
+        else:
+            return self.q_nominal.copy()
+        history = self.config["history"]
         self.frames = [*self.frames[1:], seen] if self.frames else [seen] * history
         self.steps += 1
         limit = self.config["action_limit"]
@@ -129,6 +144,6 @@ def load(path):
             found.append((arrays[name + "W"], arrays[name + "b"]))
     about = config.pop("about", {})
     pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config, about=about)
-    pi.act(np.zeros(3), np.zeros(3), np.zeros(12), np.zeros(12))  # do its layers fit?
+    pi.act([0, 0, -1], np.zeros(3), pi.q_nominal, np.zeros(12))  # do its layers fit?
     pi.start()
     return pi
