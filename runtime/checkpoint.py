@@ -33,13 +33,16 @@ def save(path, state, envs, cfg):
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), robot=robot.digest())
-    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS), jax=jax_setup.numerics())
+    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS))
+    settings |= dict(jax=jax_setup.configuration() | jax_setup.numerics())
     arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, the threads that JAX had, and its `jax_setup.numerics`."""
+    """Both Configs of a checkpoint, the threads that JAX had, and what it computed with, as `save`
+    has it. In those of older versions that is `jax_setup.numerics` alone.
+    """
     arrays = run_folder.read_npz(path)
     if any(name.startswith("process0.") for name in arrays):
         raise Refused(f"{path} is of an older version: commit 31a2f37 of this project continues it")

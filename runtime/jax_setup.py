@@ -12,6 +12,8 @@ from runtime.cli import Refused
 THREADS = "PJRT_NPROC"  # environment variable with the number of JAX's threads on a CPU
 
 YNN_OFF = "--xla_cpu_experimental_ynn_fusion_type="
+# in the names of JAX's settings on which no digit depends; of devices `device` tells
+SILENT = re.compile("cache|log|debug|dump|trac|profil|pgle|check|error|platform|device|host")
 # first and last version of jaxlib on which this flag was tried; XLA stops at one it does not know
 YNN_KNOWN = (0, 10, 1), (0, 12, 0)
 
@@ -38,12 +40,22 @@ def set_threads(began_with):
     os.environ.setdefault(THREADS, began_with or str(CORES))
 
 
+def configuration():
+    """All of JAX's settings on which digits may depend: {name: text}. None is a path."""
+    texts = {name: str(x) for name, x in jax.config.values.items() if not SILENT.search(name)}
+    return {name: x for name, x in texts.items() if os.sep not in x}
+
+
 def numerics():
-    """What the last digits of a run depend on: {name: text}."""
+    """What the last digits of a run depend on: {name: text}.
+
+    JAX does not say which settings are its defaults. These are two, and what the environment sets.
+    """
     names = "jax_enable_x64", "jax_default_matmul_precision"
-    settings = {name: str(getattr(jax.config, name)) for name in names}
+    settings = configuration()
+    settings = {x: settings[x] for x in settings if x in names or x.upper() in os.environ}
     settings |= {package: version(package) for package in ("jax", "mujoco", "numpy")}
-    flags = os.environ.get("XLA_FLAGS", "").strip()
+    flags = " ".join(x for x in os.environ.get("XLA_FLAGS", "").split() if os.sep not in x)
     return settings | dict(device=device(), threads=os.environ.get(THREADS), xla_flags=flags)
 
 

@@ -46,11 +46,12 @@ def resumed(folder, options, given):
     cfg = replace(cfg, iterations=given.get("iterations", cfg.iterations))
     check(options, env_cfg, cfg)
     jax_setup.set_threads(jax_threads)
-    now = jax_setup.numerics()
-    changed = {x: was for x, was in (dict(threads=jax_threads) | began).items() if was != now[x]}
+    now = jax_setup.configuration() | jax_setup.numerics()
+    was = dict(threads=jax_threads) | began
+    changed = [x for x in was if x in now and was[x] != now[x]]  # each JAX has settings of its own
     if changed:
-        other = ", ".join(f"{x} {was} and not {now[x]}" for x, was in changed.items())
-        warn(f"{folder} began with {other}: last digits will differ")
+        other = ", ".join(f"{x} {was[x]} and not {now[x]}" for x in changed)
+        warn(f"the last start of {folder} began with {other}: last digits will differ")
     return env_cfg, cfg
 
 

@@ -1,0 +1,40 @@
+"""What a program meets in its process: settings of JAX, closed descriptors, a full memory."""
+
+from types import SimpleNamespace
+
+import jax
+import pytest
+from support import TINY
+
+import train
+from runtime import checkpoint, jax_setup, run_folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run of one iteration."""
+    assert train.main([*TINY, "--iterations", "1", "--out", str(tmp_path / "run")]) == 0
+    return tmp_path / "run"
+
+
+def test_any_setting_of_jax_is_kept_and_compared(folder, capsys, monkeypatch):
+    """What the environment sets stands in config.json. Nothing is said of what was not known
+    before, of a log, or of a path, which is not kept.
+    """
+
+    def said(iterations, **settings):
+        config = SimpleNamespace(values=dict(jax.config.values) | settings)
+        monkeypatch.setattr(jax_setup, "jax", SimpleNamespace(config=config, devices=jax.devices))
+        again = "--out", str(folder), "--resume", "--iterations", str(iterations)
+        assert train.main(again) == 0
+        return capsys.readouterr().err
+
+    capsys.readouterr()
+    assert said(2, jax_new=1, jax_gone=1, jax_log=1, jax_file="/home/me") == ""
+    monkeypatch.setenv("JAX_NEW", "2")
+    monkeypatch.setenv("XLA_FLAGS", "--xla_file=/home/me")
+    assert "began with jax_new 1 and not 2: last" in said(3, jax_new=2, jax_log=2, jax_file="/home")
+    kept = [start["jax"].get("jax_new") for start in run_folder.starts(folder)]
+    assert kept == [None, None, "2"]
+    *_, kept = checkpoint.load_settings(folder / "checkpoint.npz")
+    assert "/home" not in str(kept) and kept["jax_threefry_partitionable"] == "True"
