@@ -26,6 +26,7 @@ time_s, steps_per_s            since this process began: seconds, and control st
 """
 
 import os
+import shutil
 import sys
 import time
 
@@ -85,7 +86,8 @@ class Log:
         self.first = self.first or row
         line = console_line(row, self.first, self.iterations)
         if sys.stdout and sys.stdout.isatty():
-            say(f"\r{line}\x1b[K", end="")
+            width = shutil.get_terminal_size().columns - 1  # a line that wraps is not renewed
+            say(f"\r{line[:width]}\x1b[K", end="")
         elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + EVERY:
             say(line)
             self.shown_at = row["time_s"]

@@ -1,5 +1,6 @@
 """What a program meets in its process: settings of JAX, closed descriptors, a full memory."""
 
+import sys
 from types import SimpleNamespace
 
 import jax
@@ -7,7 +8,7 @@ import pytest
 from support import TINY
 
 import train
-from runtime import checkpoint, jax_setup, run_folder
+from runtime import checkpoint, jax_setup, metrics, run_folder
 
 
 @pytest.fixture
@@ -38,3 +39,13 @@ def test_any_setting_of_jax_is_kept_and_compared(folder, capsys, monkeypatch):
     assert kept == [None, None, "2"]
     *_, kept = checkpoint.load_settings(folder / "checkpoint.npz")
     assert "/home" not in str(kept) and kept["jax_threefry_partitionable"] == "True"
+
+
+def test_a_terminal_renews_one_line_whatever_its_width(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr(metrics, "console_line", lambda *_: "x" * 120)
+    log = metrics.Log(tmp_path, 0, 6)
+    for columns, shown in (("80", 79), ("160", 120)):
+        monkeypatch.setenv("COLUMNS", columns)
+        log.show(dict(iteration=1, time_s=1))
+        assert capsys.readouterr().out == "\r" + "x" * shown + "\x1b[K"
