@@ -125,20 +125,10 @@ def test_iqm_by_hand():
     assert evaluate.iqm(np.arange(100.0) ** 2) == 2658.5
 
 
-def test_an_interval_is_of_2000_samples():
-    """SciPy draws them a hundred at a time, of eight numbers each."""
-    drawn = []
-
-    def mean(x, axis):
-        drawn.append(x.size / 8)
-        return x.mean(axis)
-
-    evaluate.interval([np.arange(8.0)], mean, batch=100)
-    assert sum(drawn) == 2000
-
-
-def test_an_interval_keeps_the_numbers_of_an_episode_together():
-    """Power is 24 times the speed in each episode, so every sample has 24 J/m."""
-    v_x = np.arange(1.0, 9)
-    ends = evaluate.interval([24 * v_x, v_x], evaluate.energy_per_metre, batch=100)
-    assert ends == pytest.approx((24, 24))
+def test_an_interval_leaves_out_how_far_commands_lie_apart():
+    """Of 0 and 2 the variance is 2, of 10 and 10 it is 0: an error of sqrt(2 / 2) / 2. Student's t
+    of two degrees of freedom is 4.3027. One episode of a command has no interval.
+    """
+    low, high = evaluate.interval(np.array([[0.0, 10.0], [2.0, 10.0]]))
+    assert (low, high) == pytest.approx((5.5 - 2.15135, 5.5 + 2.15135), abs=1e-4)
+    assert np.isnan(evaluate.interval(np.ones((1, 11)))).all()
