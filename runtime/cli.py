@@ -109,6 +109,17 @@ def complaint(error):
     return " ".join(str(error).split()) or "out of memory" if expected else None
 
 
+def open_descriptors():
+    """Open 0 to 2 on the null device where they are closed, as by `>&-`. A file of the run would
+    get the number, and with it what a handler of a signal or a library in C++ writes there.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # it takes the lowest number that is free
+
+
 def program(name):
     """Let a main(argv) return 2 after a line on stderr if it is refused, 130 after Ctrl-C, and 1 if
     what reads its output has closed the pipe, as `head` does.
@@ -120,6 +131,7 @@ def program(name):
     def wrap(main):
         @functools.wraps(main)
         def guarded(argv):
+            open_descriptors()
             for stream in (sys.stdout, sys.stderr):
                 if hasattr(stream, "reconfigure"):  # a console may not know a path's letters
                     stream.reconfigure(errors="backslashreplace")

@@ -1,11 +1,12 @@
 """What a program meets in its process: settings of JAX, closed descriptors, a full memory."""
 
+import subprocess
 import sys
 from types import SimpleNamespace
 
 import jax
 import pytest
-from support import TINY
+from support import ROOT, TINY
 
 import train
 from runtime import checkpoint, jax_setup, metrics, run_folder
@@ -49,3 +50,16 @@ def test_a_terminal_renews_one_line_whatever_its_width(tmp_path, capsys, monkeyp
         monkeypatch.setenv("COLUMNS", columns)
         log.show(dict(iteration=1, time_s=1))
         assert capsys.readouterr().out == "\r" + "x" * shown + "\x1b[K"
+
+
+def test_what_a_program_opens_is_no_standard_stream():
+    """`train.py <&- >&- 2>&-` closes them, and its lock would be number 0. The status is 3, the
+    number of what is opened here.
+    """
+    code = """
+import os
+from runtime.cli import program
+os.closerange(0, 3)
+raise SystemExit(program("any.py")(lambda argv: os.open(os.devnull, os.O_RDONLY))([]))
+"""
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 3
