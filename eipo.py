@@ -81,7 +81,7 @@ class Transition(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What lines 8 and 10 estimate from a rollout. All of it has the factor reward_scale (D10).
+    """What lines 8 and 10 estimate from a rollout. Rewards have the factor reward_scale (D10).
 
     There is one for each head of the critic: r and f for pi, and r alone for pi_prime and PPO(0).
     """
@@ -168,7 +168,7 @@ def summary(est, logged):
 def task_share(advantage, weights):
     """The task's share of pi's objective: std(alpha A_r) / (std(alpha A_r) + std(A_f)).
 
-    Near 1 the cost has no say. advantage, weights: as in `mix`
+    Near 1 the cost hardly counts. advantage, weights: as in `mix`
     """
     weighted = advantage.std((0, 1)) * abs(jnp.array(weights))
     return weighted[0] / (weighted.sum() + 1e-30)
@@ -208,7 +208,7 @@ def act(learner, obs, key, t):
 def rollout(env, learner, key, cfg):
     """T steps of every robot from where it is: a Transition of (T, N, ...) arrays, and the log.
 
-    log: means over steps and robots of r, f and the numbers that the environment logs, without NaN
+    log: means over steps and robots of r, f and the numbers that the environment logs
     """
     steps = []
     logs = []
@@ -237,7 +237,7 @@ def rollout(env, learner, key, cfg):
 
 
 def mean(x):
-    """The mean of the numbers of x that are known, and NaN if none is."""
+    """The mean of x without its NaNs, or NaN if there is nothing else."""
     known = np.ravel(x)[~np.isnan(np.ravel(x))]
     return float(known.mean()) if known.size else np.nan
 
@@ -288,7 +288,7 @@ def gae(reward, values, next_values, terminated, truncated, gamma, gae_lambda):
 
 
 def mix(advantage, weights):
-    """Advantage (T, N) of the sum of what the critic's heads are of, with these weights. Line 8.
+    """Advantage (T, N) of r and f, weighted and added. Line 8.
 
     advantage: (T, N, K) of r and, for pi, of f
     weights:   K numbers: (alpha, -1) in Eq. (4), (1, -lambda) in Eq. (2), (1,) for r alone

@@ -138,10 +138,10 @@ def commands_of(task):
 
 
 def numbers(e):
-    """The numbers of a run by which runs are compared, from columns of its episodes, (N,) each.
+    """The numbers by which runs are compared, from columns (N,) of episodes or of commands.
 
-    e: the fields of Episodes, and asked_v_x [m/s]. Energy per metre is of the episodes that ask for
-        0.1 m/s or more, if there are any.
+    e: the fields of Episodes, and asked_v_x [m/s]. Energy per metre leaves out what asks for less
+        than 0.1 m/s, unless all of it does.
     """
     moving = (e["asked_v_x"] >= 0.1) | (e["asked_v_x"].max() == 0)
     return {
@@ -157,8 +157,9 @@ def numbers(e):
 def interval(x):
     """95 % interval (low, high) of the mean of x (n, commands), n episodes of each, by Student's t.
 
-    How far commands lie apart is no chance, because each has equally many episodes. So only what
-    varies within a command counts, with commands * (n - 1) degrees of freedom. NaN if n is 1.
+    Each command has equally many episodes, so differences between commands are not due to chance.
+    Only the variance within a command counts, with commands * (n - 1) degrees of freedom. The ends
+    are NaN if n is 1.
     """
     n, commands = x.shape
     if n < 2:
@@ -169,7 +170,9 @@ def interval(x):
 
 
 def evaluate(pi, env_cfg, episodes):
-    """Play episodes of what `load` returns, and return what `main` prints of it: numbers by name.
+    """Play episodes of a policy, and return the numbers that `main` prints, by name.
+
+    pi, env_cfg: of `load`
 
     The 95 % interval is of performance.
     """

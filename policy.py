@@ -129,7 +129,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. What is no policy raises what NumPy or JSON raise, or a ValueError.
+    """The Policy in a file. Raises ValueError, or NumPy's or JSON's error, if it holds none.
 
     Files of older runs have more arrays, which are ignored.
     """

@@ -14,12 +14,12 @@ from runtime.cli import Refused, tuples
 
 
 def saved(env):
-    """What a checkpoint stores of a Go1Env: all that its next step depends on, by name."""
+    """The arrays on which the next step of a Go1Env depends, by name."""
     return vars(env.state) | dict(rng=np.array(json.dumps(env.rng.bit_generator.state)))
 
 
 def restore_env(env, arrays):
-    """Let env continue from what `saved` returned, with the same bits as if never stopped."""
+    """Put back what `saved` returned, so that env goes on with the same bits."""
     for name, x in vars(env.state).items():
         x[:] = arrays[name]
     env.batch.set_const()  # what MuJoCo derives from the masses

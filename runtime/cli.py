@@ -20,9 +20,9 @@ NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 
 
 class Refused(Exception):
-    """What a command cannot do for its user: one line that says why, and what to do.
+    """A command cannot do what it was asked: one line says why, and what to do.
 
-    status: with which the command ends
+    status: the exit status of the command
     """
 
     def __init__(self, line, status=2):
@@ -45,10 +45,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def say(line, stream=None, end="\n"):
-    """Print a line, or nothing from now on where nobody listens any more.
+    """Print a line. If its reader has gone, print nothing from now on, and let the run go on.
 
-    A pipe or a terminal that was closed ends no run. Nor does a log on a disk that is full: what it
-    cannot take now comes with a later line. stream: None is standard output.
+    On a full disk the line comes with a later one. stream: None is standard output.
     """
     stream = stream or sys.stdout
     try:
@@ -59,7 +58,7 @@ def say(line, stream=None, end="\n"):
 
 
 def silence(stream):
-    """Let a stream write into nothing: what is in its buffer would fail again when Python ends."""
+    """Point a stream at the null device, because its buffer would fail again when Python ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
@@ -69,7 +68,7 @@ def warn(line):
 
 
 def misfit(values, limits):
-    """The line that says of the first number beyond its limits what it must be, or None.
+    """A line about the first number that is beyond its limits, or None if all are within.
 
     values: {name of a flag: a number, several, or None}
     limits: {name: {"at least": 0, "below": 1}}, of those flags that are numbers

@@ -96,7 +96,7 @@ class Log:
 def rows_until(done, path):
     """The lines of a metrics.csv up to iteration `done`, and its header first; [] if it has none.
 
-    Whatever else stands there, such as half a row at its end, is left out.
+    Incomplete rows, such as half a row at its end, are left out.
     """
     if not done or not path.exists():
         return []
@@ -108,7 +108,7 @@ def rows_until(done, path):
 
 
 def console_line(row, first, iterations):
-    """What matters of a row of metrics.csv, in one line.
+    """The most important numbers of a row of metrics.csv, in one line.
 
     first: the first row of this process, which also compiled: the time left does not count it
     """

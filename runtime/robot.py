@@ -114,8 +114,8 @@ def legs(model):
 
 
 def digest():
-    """Twelve hexadecimal digits that tell this robot from others, whatever their file is called:
-    of lengths, masses, inertias, limits and gains.
+    """Twelve hexadecimal digits that tell this robot from others, by lengths, masses, inertias,
+    limits and gains.
     """
     model = go1.build_model(timestep=0.005, ground=None)
     numbers = [model.body_pos[2:], model.body_mass, model.body_ipos, model.body_inertia]
@@ -128,7 +128,7 @@ def digest():
 
 
 def refuse_other_digest(path, found):
-    """Refuse a file of another robot, by its digest. None, as older files have it, is any."""
+    """Raise Refused if a file is of another robot; found: its digest, or None in older files."""
     if found not in (None, ours := digest()):
         what = "train anew, or restore the go1.xml and go1.py of its time"
         raise Refused(f"{path} is of another robot, {found} and not {ours}: {what}")

@@ -43,7 +43,7 @@ FILES = "config.json", "metrics.csv", "checkpoint.npz", "policy.npz", "policy_pr
 
 @contextmanager
 def reading(path):
-    """The one place where a file that cannot be read becomes one line that names it."""
+    """Turn any error of reading a file into Refused, with one line that names the file."""
     try:
         yield
     except Refused:  # by one who reads within
@@ -148,7 +148,7 @@ def save_config(folder, about):
 
 
 def script(name):
-    """How one calls a script of this project from here: by its name, or by the way to it."""
+    """The path of a script of this project, as a user in this folder would type it."""
     path = Path(__file__).parents[1] / name
     return name if path.parent == Path.cwd() else str(path)
 
@@ -157,7 +157,7 @@ def script(name):
 
 
 def of_the_robot():
-    """What a policy has to know of our robot: fields of policy.Policy."""
+    """The fields of policy.Policy that describe our robot."""
     scales = dict(frame_scale=go1_env.FRAME_SCALE, action_scale=go1.ACTION_SCALE)
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
@@ -176,7 +176,7 @@ def save_policy(path, params, env_cfg, about=()):
 def read_config(settings):
     """The tasks.Config of a dict that comes from JSON.
 
-    ValueError if its fields are not those of tasks.Config, or if there is no such task.
+    Raises ValueError if its fields are not those of tasks.Config, or if there is no such task.
     """
     if other := {f.name for f in fields(tasks.Config)} ^ settings.keys():
         raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")

@@ -12,7 +12,7 @@ def begin(options, given_env, given_learner):
     """The folder, tasks.Config and eipo.Config of a run that may start, or with --resume go on.
 
     options: flags.Options; given_env, given_learner: the fields that the command line sets.
-    Raises Refused if it may not.
+    Raises Refused if its settings make no sense, or if its folder is not the run's.
     """
     robot.refuse_other_model()
     settings = settle(given_env, given_learner)

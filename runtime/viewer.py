@@ -166,7 +166,7 @@ def launch_web(env, model, command, said, port):
 
 
 def browser(env, steps, command, port=0, slow=1.0):
-    """Show steps (an iterator of `play`) in browsers of this machine, until Ctrl-C.
+    """Show steps (an iterator of `play`) to browsers on this machine, until Ctrl-C.
 
     port: 0 takes the first free one from 8080 on
     """
