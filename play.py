@@ -74,7 +74,7 @@ def play(env, pi, seed=0):
 
 
 def names_of(folders, policies):
-    """The names of runs side by side: their kinds, or their folders if kinds are unknown or alike."""
+    """The names of runs side by side: their kinds, or their folders if two kinds are alike."""
     told = [(pi.about, pi.config) for pi in policies if pi.about]
     kinds = [str(Kind(x["algo"], x["lam"], y["aux"], y["reward"])) for x, y in told]
     for names in (kinds, [folder.resolve().name for folder in folders]):
