@@ -13,9 +13,7 @@ import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
-import eipo
 import go1
-import ppo
 from results import runs
 
 FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
@@ -66,19 +64,6 @@ def numbers(figure):
     shown = [line.get_ydata() for axes in figure.axes for line in axes.lines]
     shown += [image.get_array() for axes in figure.axes for image in axes.images]
     return " ".join(f"{np.mean(x):.6g}" for x in shown)
-
-
-def credit_and_clip():
-    """The advantage of actions before a reward, by gae_lambda, and what PPO raises of a ratio."""
-    steps, never = np.arange(100), np.zeros(100, bool)
-    last, nothing = (steps == 99) * 1.0, np.zeros(100)  # a reward, and a critic that says 0
-    credit = {
-        f"{x}": eipo.gae(last, nothing, nothing, never, never, 0.99, x) for x in (0.5, 0.95, 1.0)
-    }
-    ratio = np.linspace(0.5, 1.5, 101)
-    clipped = {f"A = {A:+.0f}": ppo.clipped_surrogate(ratio, A, 0.2) for A in (1.0, -1.0)}
-    left = "steps before the reward", "advantage, by gae_lambda", 99 - steps, credit
-    return curves(left, ("ratio of probabilities", "what PPO raises", ratio, clipped))
 
 
 def motor():
