@@ -75,15 +75,13 @@ def replace_file(path, write):
 
 
 @contextmanager
-def lock(folder, wait=False):
-    """Make a folder and keep it to this process, until it ends. If another one has it, a run folder
-    is refused; wait: wait for it instead.
-    """
+def lock(folder):
+    """Make a run folder and keep it to this process. Raises Refused if another one has it."""
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "lock", "a") as file:
         try:
             if fcntl:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB * (not wait))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise Refused(f"{folder} is being trained by another process: stop it") from None
         except OSError as error:  # a file system of a network may have no locks

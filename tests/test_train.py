@@ -369,24 +369,6 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch)
     assert "cannot be locked" in line
 
 
-def test_one_who_waits_for_a_folder_gets_it_next(tmp_path):
-    """As `python -m results add` does, which has played for minutes. flock is of an open file, so
-    two threads lock each other out as two processes do.
-    """
-    got = threading.Event()
-
-    def wait():
-        with run_folder.lock(tmp_path, wait=True):
-            got.set()
-
-    with run_folder.lock(tmp_path):
-        thread = threading.Thread(target=wait)
-        thread.start()
-        assert not got.wait(0.3)
-    assert got.wait(SECONDS)
-    thread.join()
-
-
 def test_a_start_with_other_numerics_is_told(copied, capsys, monkeypatch):
     """Last digits depend on it, and a sweep may go on with other CORES than it began with."""
     began = jax_setup.numerics()
