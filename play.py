@@ -40,12 +40,12 @@ import evaluate
 import go1_env
 import tasks
 from runtime import run_folder, viewer
-from runtime.cli import SEED, Parser, Refused, a_path, is_place_for, misfit, program
+from runtime.cli import A_SEED, Parser, Refused, a_path, is_place_for, misfit, program
 from runtime.kinds import Kind
 
 LIMITS = dict(
     port={"at least": 0, "at most": 65535},
-    seed=SEED,
+    seed=A_SEED,
     seconds={"above": 0, "at most": 600},  # a run's pictures of ten minutes take 12 GB
     command={"at least": -100, "at most": 100},
     slow={"above": 0, "at most": 100},

@@ -20,7 +20,7 @@ from tasks import LAMBDAS, TASKS, Grid
 
 SEEDS = range(10, 18)  # that count: nobody had seen them when the sentences were chosen
 # commits whose learner has the same bits, so that one comparison may be of all of them
-ONE_LEARNER = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e", "905d604"
+SAME_BITS = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e", "905d604"
 # fixed before the runs, of a difference or of the logarithm of a ratio
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
@@ -39,7 +39,7 @@ def eipo(task, **changes):
     return [Kind("eipo", lam, **changes)]
 
 
-P0, TUNED, EVERY = ppo(0), ppo(0.005), ppo(*LAMBDAS)
+P0, TUNED, SWEEP = ppo(0), ppo(0.005), ppo(*LAMBDAS)
 FLAT, ROUGH, FAST = eipo("flat"), eipo("rough"), eipo("velocity")
 # the runs on curriculum that are kept have another step of alpha than today's default
 STEP = dict(other=("lr_alpha 0.5", "momentum_alpha 0.99"))
@@ -81,8 +81,8 @@ PAPER = dict(
         ("V-A", "at low commands", PER_METRE, FLAT, ">", TUNED, (0.1, 0.5)),
         ("V-A", "and as much at high ones", PER_METRE, FLAT, "similar", TUNED, (0.6, 1)),
         ("abstract", "with power like tuned PPO's", POWER, FLAT, "similar", TUNED),
-        ("V-C", "EIPO outperforms PPO at every lambda", SCORE, FLAT, ">", EVERY),
-        ("V-C", "and command", SCORE, FLAT, ">", EVERY, EACH),
+        ("V-C", "EIPO outperforms PPO at every lambda", SCORE, FLAT, ">", SWEEP),
+        ("V-C", "and command", SCORE, FLAT, ">", SWEEP, EACH),
         ("Eq. (3)", "pi is as good as pi'", SCORE, FLAT, "no worse", rival(FLAT)),
         ("Eq. (3)", "on less power", POWER, FLAT, "<", rival(FLAT)),
     ],
@@ -109,16 +109,16 @@ PAPER = dict(
             SCORE,
             ROUGH,
             "similar",
-            EVERY,
+            SWEEP,
             (0, 0.3),
         ),
-        ("V-C", "and outperforms every lambda above", SCORE, ROUGH, ">", EVERY, (0.4, 1)),
+        ("V-C", "and outperforms every lambda above", SCORE, ROUGH, ">", SWEEP, (0.4, 1)),
         ("Eq. (3)", "pi is as good as pi'", SCORE, ROUGH, "no worse", rival(ROUGH)),
         ("Eq. (3)", "on less power", POWER, ROUGH, "<", rival(ROUGH)),
     ],
     velocity=[
-        ("V-D", "EIPO is faster than PPO at every lambda", PEAK, FAST, ">", EVERY, ALL, FASTER),
-        ("V-D", "every weight makes PPO slower", PEAK, EVERY[1:], "<", P0, ALL, SLOWER),
+        ("V-D", "EIPO is faster than PPO at every lambda", PEAK, FAST, ">", SWEEP, ALL, FASTER),
+        ("V-D", "every weight makes PPO slower", PEAK, SWEEP[1:], "<", P0, ALL, SLOWER),
         ("abstract", "EIPO's power is like PPO(0)'s", POWER, FAST, "similar", P0),
     ],
     curriculum=[
@@ -224,7 +224,7 @@ def counted(places):
     for kinds in groups.values():
         commits = {start["commit"] for arm in kinds.values() for x in arm for start in x.starts}
         unsure = [x for x in commits if x == "unknown" or x.endswith("+")]  # one may be several
-        if len({ONE_LEARNER if x[:7] in ONE_LEARNER else x for x in commits}) > 1 or unsure:
+        if len({SAME_BITS if x[:7] in SAME_BITS else x for x in commits}) > 1 or unsure:
             what = "a comparison is of one learner, known and unchanged, and not of the commits"
             raise Refused(f"{what} {', '.join(sorted(commits))}")
     return {group: with_primes(kinds) for group, kinds in groups.items()}

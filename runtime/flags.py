@@ -16,7 +16,7 @@ import go1
 import tasks
 import terrain
 from ppo import LOG_STD_RANGE, LR_RANGE
-from runtime.cli import COUNT, SEED, Parser, Refused, misfit, tuples
+from runtime.cli import A_SEED, COUNT, Parser, Refused, misfit, tuples
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ LIMITS = dict.fromkeys(NOT_0, FACTOR) | dict(  # of all that have limits of thei
     momentum_alpha={"at least": 0, "below": 1},  # with 1 a gradient would count for ever
     gamma={"at least": 0, "at most": 1},
     gae_lambda={"at least": 0, "at most": 1},
-    seed=SEED,
-    ground_seed=SEED,
+    seed=A_SEED,
+    ground_seed=A_SEED,
 )
 ABOUT = """`python train.py --task flat` trains a policy and keeps everything in a run folder.
 

@@ -35,7 +35,7 @@ import numpy as np
 from runtime import run_folder
 from runtime.cli import Refused, say, warn
 
-EVERY = 30  # s from one line to the next where the output is no terminal
+QUIET_FOR = 30  # s from one line to the next where the output is no terminal
 
 
 class Log:
@@ -46,7 +46,7 @@ class Log:
         self.path = folder / "metrics.csv"
         self.done, self.iterations = done, iterations
         self.start = time.monotonic()
-        self.first, self.shown_at = None, -EVERY
+        self.first, self.shown_at = None, -QUIET_FOR
         self.lines = rows_until(done, self.path)  # of the whole file, from its header on
         self.written = 0  # of these lines; 0: the file is not ours yet, or it could not be written
 
@@ -88,7 +88,7 @@ class Log:
         if sys.stdout and sys.stdout.isatty():
             width = shutil.get_terminal_size().columns - 1  # a line that wraps is not renewed
             say(f"\r{line[:width]}\x1b[K", end="")
-        elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + EVERY:
+        elif row["iteration"] == self.iterations or row["time_s"] >= self.shown_at + QUIET_FOR:
             say(line)
             self.shown_at = row["time_s"]
 

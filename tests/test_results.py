@@ -26,7 +26,7 @@ from runtime.flags import settle
 from runtime.kinds import Group, Kind
 
 RESULTS = ROOT / "results"
-LEARNER = paper.ONE_LEARNER[0] + "..."  # a commit of it
+LEARNER = paper.SAME_BITS[0] + "..."  # a commit of it
 
 
 def made(name="r", task="flat", commit=LEARNER, **columns):
@@ -259,7 +259,7 @@ def test_the_promise_is_of_pi_and_its_own_pi_prime(of):
 
 @pytest.mark.parametrize(
     ("commits", "refused"),
-    [(paper.ONE_LEARNER[1:3], False), (["unknown"] * 2, True), (["3eb3a5e+", "3eb3a5e"], True),
+    [(paper.SAME_BITS[1:3], False), (["unknown"] * 2, True), (["3eb3a5e+", "3eb3a5e"], True),
      (["0123456", "3eb3a5e"], True)],
 )  # fmt: skip
 def test_a_comparison_is_of_one_learner(of, commits, refused):
