@@ -20,6 +20,8 @@ A_SEED = {
     "at most": 2**32 - 1,
 }  # JAX takes 32 bits, so 2**32 would draw what 0 draws
 NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
+# how the C++ of JAX and MuJoCo says that memory is full, in exceptions of any type
+NO_MEMORY = re.compile("bad_alloc|out of memory|RESOURCE_EXHAUSTED|Caught an unknown exception!")
 
 
 class Refused(Exception):
@@ -107,8 +109,9 @@ def tuples(settings):
 
 def complaint(error):
     """The line that tells a user of an error, or None for a bug."""
-    expected = isinstance(error, Refused | OSError | MemoryError)
-    return " ".join(str(error).split()) or "out of memory" if expected else None
+    if isinstance(error, Refused | OSError | MemoryError):
+        return " ".join(str(error).split()) or "out of memory"
+    return "out of memory" if NO_MEMORY.search(str(error)) else None
 
 
 def open_descriptors():

@@ -9,7 +9,7 @@ import pytest
 from support import ROOT, TINY
 
 import train
-from runtime import checkpoint, jax_setup, metrics, run_folder
+from runtime import checkpoint, cli, jax_setup, metrics, run_folder
 
 
 @pytest.fixture
@@ -63,3 +63,20 @@ os.closerange(0, 3)
 raise SystemExit(program("any.py")(lambda argv: os.open(os.devnull, os.O_RDONLY))([]))
 """
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 3
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ValueError("std::bad_alloc"),  # of MuJoCo's Batch
+        RuntimeError("Caught an unknown exception!"),  # of its Batch.expand
+        RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes"),  # of JAX
+    ],
+    ids=str,
+)
+def test_what_c_plus_plus_cannot_allocate_is_one_line(capsys, error):
+    def main(argv):
+        raise error
+
+    assert cli.program("any.py")(main)([]) == 2
+    assert capsys.readouterr().err == "any.py: out of memory\n"
