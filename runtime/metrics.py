@@ -159,8 +159,10 @@ def draw_curves(folder):
 
 def _draw_curves(folder):
     os.environ["MPLBACKEND"] = "Agg"  # a notebook's is not valid in a process of its own
-    from matplotlib.figure import Figure  # here, because it is slow to import
+    import matplotlib  # here, because it is slow
+    from matplotlib.figure import Figure
 
+    matplotlib.rcdefaults()  # the user's style may need LaTeX
     columns = read(folder)
     figure = Figure(figsize=(14, 6))
     # by hand, because matplotlib's layout engines take longer than all the rest
