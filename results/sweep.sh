@@ -7,12 +7,12 @@
 #
 # A run that was killed goes on from its last checkpoint if it is started again, and one that is
 # finished ends after some seconds. A run has as many threads as SLURM gives it cores, or as CORES says.
+# After a run that a signal has ended at once, xargs starts no other one: start all of them again.
 #SBATCH --cpus-per-task=1
 #SBATCH --requeue
 #SBATCH --open-mode=append
 #SBATCH --output=slurm-%A.log
 set -u
-trap : TERM  # train.py saves and ends when SLURM asks for it, and then so does this script
 table=$(realpath "$1")
 number=${2:-${SLURM_ARRAY_TASK_ID:?"a number is missing: results/sweep.sh TABLE NUMBER"}}
 # sbatch runs a copy of this file from elsewhere
@@ -28,5 +28,7 @@ if [ -e "$folder/checkpoint.npz" ]; then
 else  # whoever was killed before the first checkpoint starts anew, unless somebody trains there
     flock -n "$folder/lock" rm -f "$folder/config.json" "$folder/metrics.csv"
 fi
+# train.py takes the place of this script, so it hears once what SLURM or somebody sends to either,
+# and saves. The second signal would end it at once
 # shellcheck disable=SC2086  # flags are several words
-"$python" train.py $flags --threads "$PJRT_NPROC" --out "$folder" >> "$folder.log" 2>&1 || exit 1
+exec "$python" train.py $flags --threads "$PJRT_NPROC" --out "$folder" >> "$folder.log" 2>&1

@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from support import ROOT, SECONDS, TINY, heard
+from support import ROOT, SECONDS, TINY, heard, started
 
 from results.__main__ import main
 from runtime import metrics, run_folder
@@ -77,6 +77,21 @@ def test_a_line_of_a_table_is_what_is_trained(checkout):
     assert (folder / "config.json").exists()
     with pytest.raises(subprocess.CalledProcessError):
         said(script, table, 4)
+
+
+@pytest.mark.parametrize("kill", [os.kill, os.killpg], ids=["script", "group"])
+def test_who_ends_the_script_ends_the_run(checkout, kill):
+    """A stand-in for Python says how often it hears SIGTERM, and takes a while to save."""
+    loop = "trap 'echo heard' TERM; echo up; for i in $(seq 20); do sleep 0.1; done; echo saved"
+    (checkout / ".venv/bin/python").write_text(f"#!/bin/sh\n{loop}\n")
+    log = checkout / f"runs/{NAMES[0]}.log"
+    with started([checkout / "results/sweep.sh", "table", "0"], cwd=checkout, process_group=0) as x:
+        while not log.exists() or not log.read_text():
+            time.sleep(0.01)
+        kill(x.pid, signal.SIGTERM)
+        assert x.wait() == 0
+    said = log.read_text()
+    assert said.count("heard") == 1 and said.endswith("saved\n")
 
 
 @pytest.mark.slow
