@@ -50,7 +50,8 @@ def reading(path):
         raise
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
         missing = isinstance(error, FileNotFoundError | NotADirectoryError)
-        what = "does not exist" if missing else f"is damaged, or of another program: {error!r}"
+        quoted = f"is damaged, or of another program: {error!r:.200}"  # of a file that may be long
+        what = "does not exist" if missing else quoted
         raise Refused(f"{path} {what}") from None
 
 

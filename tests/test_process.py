@@ -80,3 +80,10 @@ def test_what_c_plus_plus_cannot_allocate_is_one_line(capsys, error):
 
     assert cli.program("any.py")(main)([]) == 2
     assert capsys.readouterr().err == "any.py: out of memory\n"
+
+
+def test_a_refusal_fits_a_screen():
+    """However much of a file the error quotes."""
+    with pytest.raises(cli.Refused) as refused, run_folder.reading("runs.csv"):
+        raise ValueError("x" * 14_000)
+    assert 200 < len(str(refused.value)) < 300
