@@ -37,7 +37,9 @@ def set_threads(began_with):
     JAX reads the number once, before it computes anything, and last digits depend on it. What the
     user has set wins.
     """
-    os.environ.setdefault(THREADS, began_with or str(CORES))
+    threads = os.environ.setdefault(THREADS, began_with or str(CORES))
+    if not (threads.isascii() and threads.isdigit() and int(threads)):  # JAX would pass over it
+        raise Refused(f"{THREADS} is {threads}: it must be a number of threads")
 
 
 def configuration():

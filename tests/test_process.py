@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import jax
 import pytest
-from support import ROOT, TINY
+from support import ROOT, TINY, error_of
 
 import train
 from runtime import checkpoint, cli, jax_setup, metrics, run_folder
@@ -87,3 +87,16 @@ def test_a_refusal_fits_a_screen():
     with pytest.raises(cli.Refused) as refused, run_folder.reading("runs.csv"):
         raise ValueError("x" * 14_000)
     assert 200 < len(str(refused.value)) < 300
+
+
+def test_a_link_to_nowhere_is_no_folder(tmp_path, capsys):
+    (tmp_path / "run").symlink_to(tmp_path / "nowhere")
+    said = error_of(capsys, train.main, *TINY, "--out", tmp_path / "run")
+    assert said.endswith("run is no folder")
+
+
+@pytest.mark.parametrize("threads", ["abc", "0", "-1", ""])
+def test_a_number_of_threads_that_is_none_is_refused(tmp_path, capsys, monkeypatch, threads):
+    monkeypatch.setenv("PJRT_NPROC", threads)
+    said = error_of(capsys, train.main, *TINY, "--out", tmp_path / "run")
+    assert f"PJRT_NPROC is {threads}: it must be a number" in said
