@@ -83,12 +83,12 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout. Rewards have the factor reward_scale (D10).
 
-    There is one for each head of the critic: r and f for pi, and r alone for pi_prime and PPO(0).
+    The critic's heads are K: of r and f for pi, and of r alone for pi_prime and PPO(0).
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
     target: jax.Array  # (T, N, K) TD(gae_lambda) returns of r and lam f, for the critic
-    # (K,) the share of each target's variance that the critic had foreseen: 1 is all of it, 0 none
+    # (K,) the share of each target's variance that the critic had foreseen: at most 1
     explained_variance: jax.Array
 
 

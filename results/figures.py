@@ -227,7 +227,7 @@ def table1(runs):
             ).confidence_interval
             mean = evaluate.iqm(np.concatenate(seeds))
             power = np.mean([run.numbers["power"] for run in arm])
-            paper = printed.get(kind, np.nan)
+            paper = printed.get(kind._replace(other=()), np.nan)
             row = dict(group=group, kind=kind, seeds=len(arm), peak=mean, low=low, high=high)
             rows.append(row | dict(power=power, paper=paper))
             axes.plot(list(map(evaluate.iqm, seeds)), [at] * len(arm), ".", color=BLUE, alpha=0.5)
