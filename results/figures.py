@@ -234,7 +234,7 @@ def table1(runs):
             error = [[mean - low], [high - mean]]
             axes.errorbar(mean, at, xerr=error, fmt="o", color=BLUE, capsize=3)
             axes.plot(paper, at, "D", color="#D55E00", markerfacecolor="none")
-        labels = [f"{kind}, n = {len(arm)}" for kind, arm in kinds.items()]
+        labels = [f"{kind}, n = {len(arm)}".replace(", ", ",\n") for kind, arm in kinds.items()]
         axes.set(yticks=range(len(kinds)), yticklabels=labels, xlabel="peak velocity [m/s]")
         axes.invert_yaxis()
         axes.grid(alpha=0.3)
