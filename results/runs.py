@@ -235,10 +235,11 @@ def add(folders, results=RESULTS, num_episodes=None):
             kept = read(path).settings | dict(iterations=settings["iterations"])  # it may go on
             if other := differing(kept, settings):
                 raise Refused(f"{path} has another {other}: rename {folder}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not os.access(path.parent, os.W_OK):
-            raise Refused(f"{path.parent} cannot be written: give another --results")
         found[path] = folder, asked, learned, policies
+    for place in {path.parent for path in found}:
+        place.mkdir(parents=True, exist_ok=True)
+        if not os.access(place, os.W_OK):
+            raise Refused(f"{place} cannot be written: give another --results")
     for path, (folder, asked, learned, policies) in found.items():
         kept = dict(asked=asked, learned=table_of(thinned(learned)))
         kept |= played(policies, asked["env"]["task"], num_episodes)

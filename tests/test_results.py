@@ -603,6 +603,7 @@ def test_two_runs_of_one_name_are_refused(short, capsys):
         Path(place).mkdir()
     a, b = run_of("a/run"), run_of("b/run", lam=0.01)
     assert "have one name" in error_of(capsys, main, "add", a, b, *TO)
+    assert not Path("kept").exists()
     assert main(["add", str(a), str(a), *TO]) == 0
     before = Path("kept/flat/run.json").read_bytes()
     assert "has another lam" in error_of(capsys, main, "add", b, *TO)
