@@ -36,7 +36,7 @@ def checkout(tmp_path):
 
 
 def sweep(checkout, numbers, **options):
-    """Start `seq | xargs sweep.sh` as docs/cluster.md has it, in a process group of its own."""
+    """Start `seq | xargs sweep.sh` as docs/runs.md has it, in a process group of its own."""
     command = f"printf '%s\\n' {numbers} | xargs -P 2 -n 1 results/sweep.sh table"
     with heard():
         return subprocess.Popen(
