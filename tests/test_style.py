@@ -204,6 +204,7 @@ def test_a_page_is_short_and_reads_as_it_is_meant(page):
 def test_there_is_no_other_page():
     found = {str(path.relative_to(ROOT)) for path in ROOT.rglob("*.md")}
     assert {page for page in found if not page.startswith((".", "runs/"))} == set(PAGES)
+    assert sum(len((ROOT / page).read_text().split()) for page in PAGES) <= 14_500
 
 
 def anchors(page):
