@@ -87,10 +87,10 @@ class Run(NamedTuple):
 
 
 def usual_settings(task, iterations):
-    """Today's settings of a task, as JSON has them, with alpha's clock for a run of this length."""
+    """Today's settings of a task, as JSON has them, with alpha's clock for runs of this length."""
     settings = asdict(tasks.task_config(task)) | asdict(eipo.Config(**tasks.TASKS[task].learner))
     if task in tasks.ITERATIONS:
-        k = tasks.ITERATIONS[task] / iterations
+        k = tasks.ITERATIONS[task] / max(iterations, settings["iterations"])  # it may be stopped
         settings |= dict(lr_alpha=round(0.01 * k**2, 3), momentum_alpha=round(1 - 0.01 * k, 3))
     return json.loads(json.dumps(settings | dict(power_formula=evaluate.CLIP)))
 

@@ -83,9 +83,13 @@ def test_a_kind_is_what_is_not_usual(settings, name):
     assert str(made(**settings).kind) == name
 
 
-@pytest.mark.parametrize(("iterations", "clock"), [(1000, (1.0, 0.9)), (10_000, (0.01, 0.99))])
+@pytest.mark.parametrize(
+    ("iterations", "clock"), [(7, (1.0, 0.9)), (1000, (1.0, 0.9)), (10_000, (0.01, 0.99))]
+)
 def test_alphas_clock_on_velocity(iterations, clock):
-    """k = 10: 0.01 * 10^2 = 1 and 1 - 0.01 * 10 = 0.9; k = 1 is the paper's run."""
+    """k = 10: 0.01 * 10^2 = 1 and 1 - 0.01 * 10 = 0.9; k = 1 is the paper's run. One that was
+    stopped has the clock with which it began.
+    """
     found = runs.usual_settings("velocity", iterations)
     assert (found["lr_alpha"], found["momentum_alpha"]) == clock
 
