@@ -2,9 +2,9 @@
 folder.
 
 `runtime/flags.py` has the flags, `runtime/start.py` how a run starts or goes on, and
-`runtime/run_folder.py` what is in a run folder. A run that was stopped, by Ctrl-C or by kill -9,
-goes on from its last checkpoint with --resume, and ends with the same bits as one that was never
-stopped.
+`runtime/run_folder.py` what is in a run folder. A run that was
+stopped after its first checkpoint, by Ctrl-C or by kill -9, goes on from the last one with
+--resume, and ends with the same bits as one that was never stopped.
 """
 
 import os
@@ -29,9 +29,9 @@ from runtime.flags import Options, parse
 
 
 def make_envs(env_cfg, cfg, threads):
-    """The environments of pi and, for EIPO, of pi_prime, which share num_envs and one curriculum.
+    """The environments of pi and, for EIPO, of pi_prime: they split num_envs and share a curriculum.
 
-    So J(pi) and J(pi') can be compared (D23).
+    This makes J(pi) and J(pi') comparable (D23).
     """
     policies = 2 if cfg.algo == "eipo" else 1
     commands = tasks.TASKS[env_cfg.task].commands()
@@ -40,9 +40,9 @@ def make_envs(env_cfg, cfg, threads):
 
 
 def train(folder, envs, cfg, options, command):
-    """Train from the start or the checkpoint, to the end or to Ctrl-C. Returns the last iteration.
+    """Train from the start or the checkpoint, to the end or Ctrl-C. Returns the iteration reached.
 
-    Raises Refused if what was learned last cannot be written.
+    Raises Refused if the last save fails, or if metrics.csv has other columns.
     """
     begun = eipo.init_state(envs, cfg, mirror.init_params if cfg.mirror else networks.init_params)
     if options.resume:
@@ -54,7 +54,7 @@ def train(folder, envs, cfg, options, command):
     what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
     say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     state, stop = begun, None
-    is_due, failed = True, False  # the first iteration is saved: a full disk is found at once
+    is_due, failed = True, False  # each start saves its first iteration: a full disk shows
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*envs, cfg, begun):
         stop = stop or StopRequest()  # from the first iteration on there is something to save
@@ -77,8 +77,8 @@ def train(folder, envs, cfg, options, command):
 
 
 def save(folder, log, state, envs, cfg, about):
-    """Write all that a run keeps. The checkpoint comes after what it is of: a run that ends before
-    it is computed again from the one before, with the same bits.
+    """Write all that a run keeps, the checkpoint after what it is of. Killed in between, a run goes
+    on from the checkpoint before, with the same bits.
     """
     run_folder.save_config(folder, about)
     log.write()

@@ -64,7 +64,7 @@ class Log:
         self.show(row)
 
     def write(self):
-        """Append the rows that are not written yet, or after a failure write the whole file anew.
+        """Append the new rows; at first, or after a failure, write the whole file anew.
 
         They are on the disk before a checkpoint follows.
         """
@@ -82,7 +82,7 @@ class Log:
         self.written = len(self.lines)
 
     def show(self, row):
-        """Print a row: on a terminal each one, elsewhere the first, the last, one every 30 s."""
+        """Print a row: on a terminal each, else the first, the run's last, and one every 30 s."""
         self.first = self.first or row
         line = console_line(row, self.first, self.iterations)
         if sys.stdout and sys.stdout.isatty():
