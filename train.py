@@ -2,9 +2,9 @@
 folder.
 
 `runtime/flags.py` has the flags, `runtime/start.py` how a run starts or goes on, and
-`runtime/run_folder.py` what is in a run folder. A run that was
-stopped after its first checkpoint, by Ctrl-C or by kill -9, goes on from the last one with
---resume, and ends with the same bits as one that was never stopped.
+`runtime/run_folder.py` what is in a run folder. A run that was stopped after its first checkpoint,
+by Ctrl-C or by kill -9, goes on from the last one with --resume, and ends with the same bits as one
+that was never stopped.
 """
 
 import os
@@ -29,7 +29,7 @@ from runtime.flags import Options, parse
 
 
 def make_envs(env_cfg, cfg, threads):
-    """The environments of pi and, for EIPO, of pi_prime: they split num_envs and share a curriculum.
+    """The environments of pi and, for EIPO, of pi_prime: they split num_envs and share commands.
 
     This makes J(pi) and J(pi') comparable (D23).
     """
