@@ -5,8 +5,10 @@ difference, or of the ratio of their geometric means, it *agrees*, if the interv
 sentence says, *disagrees*, if it lies wholly outside, and is *open* otherwise.
 """
 
+import math
 import warnings
 from collections import Counter
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +42,9 @@ def eipo(task, **changes):
 
 
 P0, TUNED, SWEEP = ppo(0), ppo(0.005), ppo(*LAMBDAS)
-FLAT, ROUGH, FAST = eipo("flat"), eipo("rough"), eipo("velocity")
-# the runs on curriculum that are kept have another step of alpha than today's default
+FLAT, ROUGH = eipo("flat"), eipo("rough")
+# the kept runs of these tasks have other steps of alpha than today's default, until newer ones come
+FAST = eipo("velocity") + eipo("velocity", other=("lr_alpha 0.01", "momentum_alpha 0.99"))
 STEP = dict(other=("lr_alpha 0.5", "momentum_alpha 0.99"))
 WIDE, SMOOTH = eipo("curriculum", **STEP), eipo("curriculum", aux="smooth", **STEP)
 SHAPED = [Kind("ppo", 0, reward="shaped")]
@@ -234,23 +237,26 @@ def cells_of(sentence, kinds):
     A sentence about several weights or commands says at how many it agrees, and has no verdict.
     """
     pairs = [(left, right) for left in sentence.left for right in sentence.right]
+    printed = dict(zip(pairs, cycle(sentence.printed), strict=False))
+    pairs = [(left, right) for left, right in pairs if left in kinds and right in kinds]
     ranges = [sentence.commands]
     if sentence.commands == EACH:
         ranges = [(x / 10, x / 10) for x in range(11)]
     statistic, words, excluded, shown = sentence.statistic, [], 0, None
-    for i, (left, right) in enumerate(pairs):
-        for commands in ranges * (left in kinds and right in kinds):
+    for left, right in pairs:
+        for commands in ranges:
             x, y = ([number(run, statistic, commands) for run in kinds[k]] for k in (left, right))
             shown = compare(x, y, statistic in RATIOS)
             ends = shown.low, shown.high
             words.append(verdict(*ends, sentence.claimed, MARGINS[statistic]))
-            if sentence.printed:
-                excluded += sentence.printed[i] < ends[0] or ends[1] < sentence.printed[i]
+            if printed:
+                excluded += printed[left, right] < ends[0] or ends[1] < printed[left, right]
     if not words:
         return None
-    if len(pairs) * len(ranges) == 1:
+    lams = ({kind.lam for kind in side} for side in (sentence.left, sentence.right))
+    if math.prod(map(len, (*lams, ranges))) == 1:
         return f"{WORDS[statistic]} {shown}", words[0]
     count, n = Counter(words), len(words)
     counts = f"agrees at {count['agrees']} of {n}, disagrees at {count['disagrees']}"
-    printed = f"; {excluded} of {n} printed differences excluded" * bool(sentence.printed)
-    return f"{WORDS[statistic]} {counts}{printed}", ""
+    more = f"; {excluded} of {n} printed differences excluded" * bool(printed)
+    return f"{WORDS[statistic]} {counts}{more}", ""

@@ -67,8 +67,9 @@ class Run(NamedTuple):
         said = {"task", "iterations", "seed", "algo", "lam", "aux", "reward"}
         if s["algo"] == "ppo":
             said |= {name for name in s if name.endswith("_alpha")}  # which it does not read
-        other = {name: s[name] for name in usual if name in s and name not in said}
-        words = (f"{name} {x}" for name, x in other.items() if x != usual[name])
+        unknown = sorted(name for name in s.keys() - usual.keys() if s[name])  # to today's code
+        names = [name for name in [*usual, *unknown] if name in s and name not in said]
+        words = (f"{name} {s[name]}" for name in names if s[name] != usual.get(name))
         return Kind(s["algo"], s["lam"], s["aux"], s["reward"], tuple(words))
 
     @property

@@ -8,6 +8,5 @@ viewer.py       a robot as MuJoCo draws it
 kinds.py        what runs are called
 metrics.py      the numbers of a run, its line on the console, its pictures
 jax_setup.py    what JAX computes with, and on what the last digits of a run depend
-kinds.py        what runs are called
 cli.py          how the commands speak and end
 """

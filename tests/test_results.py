@@ -34,7 +34,7 @@ def made(name="r", task="flat", commit=LEARNER, **columns):
     what pi did, one row for each command, and 0 where nothing is given.
     """
     iterations = columns.get("iterations", tasks.TASKS[task].learner["iterations"])
-    settings = runs.usual_settings(task, iterations)
+    settings = runs.usual_settings(task, iterations) | dict(gone=None, void=None)
     for setting in columns.keys() & settings.keys():
         settings[setting] = columns.pop(setting)
     n = max((len(x) for x in columns.values()), default=1)
@@ -73,6 +73,7 @@ def ppo(lam, scores, powers=None, **more):
         (dict(lam=0.005, aux="smooth"), "EIPO from 0.005 smooth"),
         (dict(num_envs=512, lr_alpha=0.5), "EIPO from 0.005, num_envs 512, lr_alpha 0.5"),
         (dict(power_formula="torque"), "EIPO from 0.005, power_formula torque"),
+        (dict(gone=2, void=None), "EIPO from 0.005, gone 2"),  # settings that an older run had
         # alpha's clock (D38): in 600 iterations of 4000 0.444 and 0.933, in 4000 0.01 and 0.99
         (dict(lr_alpha=0.444, momentum_alpha=0.933), "EIPO from 0.005"),
         (dict(iterations=4000, lr_alpha=0.01, momentum_alpha=0.99), "EIPO from 0.005"),
