@@ -293,6 +293,8 @@ def weights(runs):
     PPO scores as well as with the best weight, within the margin.
     """
     groups, rows = by_group(runs), []
+    others = dict.fromkeys(kind.other for kinds in groups.values() for kind in kinds if kind.other)
+    colors = {(): BLUE} | dict(zip(others, cycle((RED, GREEN, "#7A5195", "black")), strict=False))
     figure, panels = panels_of(groups, 2)
     for group, all_axes in panels:
         columns = score_of(group), "power"
@@ -302,7 +304,8 @@ def weights(runs):
                 row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
                 rows.append(row | {name: run.numbers[name] for name in (*columns, "v_x")})
         for axes, column in zip(all_axes, columns, strict=True):
-            means = draw_weights(axes, [row for row in rows if row["group"] == group], column)
+            mine = [row for row in rows if row["group"] == group]
+            means = draw_weights(axes, mine, column, colors)
             axes.set_ylabel(LABELS[column])
             if means and column == columns[0]:
                 best = max(means)
@@ -313,8 +316,11 @@ def weights(runs):
     return rows, figure
 
 
-def draw_weights(axes, rows, column):
-    """Draw a column of rows of `weights` over lambda; returns the means of PPO at each lambda."""
+def draw_weights(axes, rows, column, colors):
+    """Draw a column of rows of `weights` over lambda; returns the means of PPO at each lambda.
+
+    colors: {other settings of EIPO: its colour}
+    """
     zero = LAMBDAS[1] / 3  # where 0 stands on an axis that is logarithmic
     fixed = [row for row in rows if row["kind"].algo == "ppo" and not row["kind"].other]
     lams = sorted({row["lam"] for row in fixed})
@@ -330,8 +336,8 @@ def draw_weights(axes, rows, column):
     for row in rows:
         kind = row["kind"]
         if kind.algo == "eipo":
-            color = RED if kind.other else BLUE
             label = ", ".join(["EIPO", *kind.other])
+            color = colors[kind.other]
             end = min(max(row["lam_end"], zero), 10 * max(LAMBDAS))
             look = dict(color=color, arrowstyle="-|>", shrinkA=0, shrinkB=0)
             axes.annotate("", (end, row[column]), (row["lam"], row[column]), arrowprops=look)
