@@ -25,7 +25,7 @@ import mirror
 import rewards
 import tasks
 import train
-from runtime import cli, jax_setup, metrics, run_folder
+from runtime import cli, flags, jax_setup, metrics, run_folder, start
 
 FLAGS = [*TINY, "--checkpoint-every", "4"]
 SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -379,6 +379,22 @@ def test_a_start_with_other_numerics_is_told(copied, capsys, monkeypatch):
     (line,) = capsys.readouterr().err.splitlines()
     assert f"began with threads {began['threads']} and not 99, " in line
     assert "jax_enable_x64 False and not True: last digits will differ" in line
+
+
+def test_a_run_goes_on_with_the_threads_of_its_start(copied, monkeypatch):
+    began = json.loads((copied / "config.json").read_text())["starts"][0]["jax"]["threads"]
+    asked = []
+    monkeypatch.setattr(jax_setup, "set_threads", asked.append)
+    start.resumed(copied, flags.Options(), {})
+    assert asked == [began]
+
+
+def test_a_log_is_kept_by_iteration_up_to_the_checkpoint(tmp_path):
+    """A run that was killed after row 3, of which half is there, has computed row 2 twice."""
+    path = tmp_path / "metrics.csv"
+    path.write_text("iteration,J\n1,5\n2,6\n2,7\n3,")
+    assert metrics.rows_until(2, path) == ["iteration,J", "1,5", "2,7"]
+    assert metrics.rows_until(0, path) == []
 
 
 def test_a_full_disk_under_the_console_does_not_silence_it():
