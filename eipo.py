@@ -1,7 +1,7 @@
 """Extrinsic-Intrinsic Policy Optimization: Algorithm 1 of the paper.
 
 `eipo()` is Algorithm 1, tagged with the paper's line numbers. `ppo()` is the paper's baseline. It
-has neither pi_prime nor alpha, and weights r and f by 1 and lambda. At alpha = 1 / lambda both have
+has neither pi_prime nor alpha, and weighs r and f by 1 and -lambda. At alpha = 1 / lambda both have
 the same objective up to a factor, which normalising the advantages removes. Helpers follow
 in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
@@ -66,7 +66,7 @@ class State(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """One step of N environments, (N, ...). tau of Algorithm 1 is T of them, (T, N, ...)."""
+    """One step of N robots, (N, ...). tau of Algorithm 1 is T of them, (T, N, ...)."""
 
     obs: np.ndarray  # (N, D)
     privileged: np.ndarray  # (N, P) true body velocity, for the critic; the actor estimates it
@@ -83,7 +83,7 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout. Rewards have the factor reward_scale (D10).
 
-    The critic's heads are K: of r and f for pi, and of r alone for pi_prime and PPO(0).
+    The critic's heads are K: of r and f for pi, and of r alone for pi_prime, or if lam is 0.
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
@@ -100,12 +100,13 @@ def eipo(env, env_prime, cfg, state=None):
 
     env, env_prime: environments of pi and of pi_prime
     state:          State to resume from, with both environments as they were then; None: a new one,
-                    with networks.MLP. cfg.lam is above 0
+                    with networks.MLP
+    cfg:            Config, whose lam is above 0
     Metrics are of pi and alpha before the iteration changes them; losses and noise are means over
     its update. The tags are the paper's line numbers. Where line 11 prints pi, it means pi_prime
     (D1).
     """
-    # Alg.1 L1   Input: step sizes, cfg.lr of pi and of pi_prime and cfg.lr_alpha
+    # Alg.1 L1   Input: step sizes, cfg.lr at first (D20), and cfg.lr_alpha
     # Alg.1 L2   Output: policy pi, in every State that is yielded
     state = state or init_state([env, env_prime], cfg)  # which does what lines 3 and 4 say
     pi, pi_prime = state.pi, state.pi_prime  # Alg.1 L3
@@ -138,7 +139,7 @@ def eipo(env, env_prime, cfg, state=None):
 
 
 def ppo(env, cfg, state=None):
-    """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`. Arguments are as there."""
+    """PPO on Eq. (2), the paper's baseline, as a generator like `eipo`; lam may be 0."""
     state = state or init_state([env], cfg)
     pi = state.pi
     for iteration in range(state.iteration + 1, cfg.iterations + 1):
@@ -186,7 +187,7 @@ def init_state(envs, cfg, init=init_params):
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime: none comes twice
-    # the critic learns lam f, which is not far above r (D6); PPO(0) knows no f
+    # the critic learns lam f (D30), and if lam is 0 nothing of f (D44)
     heads = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
     pi = init_learner(rng, envs[0], heads, cfg, init)
     if len(envs) == 1:
@@ -301,8 +302,7 @@ def estimate_J(est):
 
     A target blends the rewards of the rollout with the values of the policy's own critic. It is
     averaged over all visited states, not only the first, and has the factor reward_scale. It is not
-    made of normalised advantages: their mean is 0 for every policy, and with them alpha would never
-    move (D8).
+    made of normalised advantages, because their mean is 0 for every policy (D8).
     """
     return est.target[..., 0].mean()
 

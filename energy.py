@@ -20,7 +20,7 @@ SURVIVAL = 200.0
 
 # [-] g of Eq. (9), motor torque per joint torque, relative to the hip motor. The calf motor drives
 # its joint through an extra 1.5:1 linkage, so a calf torque needs 2/3 of the motor torque that the
-# same hip or thigh torque needs. The paper prints none.
+# same hip or thigh torque needs (D4).
 GEAR_RATIO = np.tile([1.0, 1.0, 2.0 / 3.0], 4)
 
 
@@ -32,7 +32,7 @@ def norm2(x):
 def mechanical_power(torque, qd, clip):
     """Mechanical power that the motors draw [W]. Eq. (9), line 2: clip(tau, min=-3, max=1e4)^T qd.
 
-    clip: "torque" clips each torque at -3 N m, as printed and as the lab's code does;
+    clip: "torque" clips each torque at -3 N m, as printed;
           "power" clips each joint's power at -3 W, i.e. limits what braking recovers
 
     Deviation D3: the paper prints "torque", but training uses "power". By the printed formula a
@@ -64,8 +64,7 @@ def smoothness_cost(torque, action, qdd):
 
     Eq. (11): 2e-4 ||tau||^2 + 1e-2 ||a||^2 + 2.5e-7 ||qdd||^2.
 
-    action: (..., 12) [-]        the policy's action itself, not its rate
-    qdd:    (..., 12) [rad/s^2]  joint acceleration: change of qd over a control step, divided by
-                                 its length in s
+    action: (..., 12) [-]        the policy's action itself, not its change (D15)
+    qdd:    (..., 12) [rad/s^2]  joint acceleration, mean over a control step
     """
     return 2e-4 * norm2(torque) + 1e-2 * norm2(action) + 2.5e-7 * norm2(qdd)

@@ -27,11 +27,10 @@ from runtime import run_folder
 from runtime.cli import COUNT, Parser, a_path, misfit, program
 
 # of the evaluation's episodes and their ground. Those of training, 2 * seed + 1 and --ground-seed,
-# are below 2**33, so none of them draws the same. (A tuple such as (2024, 0) would not do: NumPy
-# takes it for 2024.)
+# are below 2**33, so none of them draws the same.
 SEED = 2**64 + 2024
 CLIP = "power"  # what Eq. (9) clips for every policy, whatever it was trained with (D3)
-EPISODE_STEPS = 1000  # control steps, which are 20 s unless a run has others, Section V-A
+EPISODE_STEPS = 1000  # control steps, Section V-A
 SLOW = 0.05  # m/s, robots whose mean speed is at most this one count as standing
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
@@ -39,7 +38,7 @@ ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of 
 class Episodes(NamedTuple):
     """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
-    performance: np.ndarray  # [-] sum of the task reward / 1000; after a fall it counts as 0 [V-A]
+    performance: np.ndarray  # [-] sum of task rewards / 1000; after an early end they are 0 [V-A]
     fell: np.ndarray  # bool, ended early: a fall, the limit of power, or numbers blew up
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
@@ -70,9 +69,9 @@ def load(folder, clip=CLIP, nominal=False, prime=False):
 
     clip:    of Eq. (9), "power" or "torque"
     nominal: start from the nominal pose at rest, not from random poses as in training
-    prime:   take pi', the rival in a run of EIPO
+    prime:   take pi', the rival, which only runs of EIPO have
     """
-    name = "policy_prime.npz" if prime else "policy.npz"  # which a run of PPO does not have
+    name = "policy_prime.npz" if prime else "policy.npz"
     pi, env_cfg = run_folder.load_policy(Path(folder) / name)
     return pi, evaluation_config(env_cfg, clip, nominal)
 

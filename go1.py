@@ -165,7 +165,7 @@ def torque_speed_limit(qd):
 def limit_torque(torque, qd, torque_speed=False):
     """Clip a torque to what the motors can give [N m].
 
-    torque_speed: apply the limit of Section V-D before that of the URDF
+    torque_speed: apply the limit of Section V-D, too
     """
     limit = np.minimum(torque_speed_limit(qd), TORQUE_LIMIT) if torque_speed else TORQUE_LIMIT
     return np.clip(torque, -limit, limit)

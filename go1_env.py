@@ -74,12 +74,12 @@ class Outcome(NamedTuple):
     task_reward: np.ndarray  # [-] Eqs. (5), (6), (8), or [m/s] Eq. (7)
     cost: np.ndarray  # [W] Eq. (9) or [-] Eq. (11)
     power: np.ndarray  # [W] Eq. (9) without its bonus
-    fell: np.ndarray  # bool, it touched the ground with what must not touch it
-    overload: np.ndarray  # bool, it drew more than max_power and did not fall
+    contact: np.ndarray  # bool, it touched the ground with what must not touch it
+    overload: np.ndarray  # bool, it drew more than max_power and had no such contact
 
 
 # the Outcome of a robot whose numbers are not finite; at this power Eq. (9) is 0 (D36)
-NOTHING = Outcome(0.0, 0.0, 0.0, power=energy.SURVIVAL, fell=False, overload=False)
+NOTHING = Outcome(0.0, 0.0, 0.0, power=energy.SURVIVAL, contact=False, overload=False)
 
 
 class Go1Env:
@@ -170,7 +170,7 @@ class Go1Env:
         if self.env_cfg.stagger:
             self.state.age[:] = self.rng.integers(self.env_cfg.episode_steps, size=self.num_envs)
             begun = self.state.age > 0
-            self.state.episode_return[begun] = np.nan  # some of which nobody has seen
+            self.state.episode_return[begun] = np.nan  # a part of it is unknown
             self._plan(everybody)
             # a command of which a part is over already can never be a success
             self.state.planned[self.state.age % self.env_cfg.command_steps > 0] = np.inf
@@ -197,22 +197,22 @@ class Go1Env:
         state.action[:] = np.clip(action, -limit, limit)
         substeps = self._simulate(go1.Q_NOMINAL + go1.ACTION_SCALE * state.action)
         motion = go1.motion(self.qpos, self.qvel)
-        moved = motion.planar  # what a command asks for: v_x, v_y, yaw rate
+        velocity = motion.planar
         if self.env_cfg.velocity_frame == "body":  # D25: in the trunk's frame, which may be tilted
-            moved = np.column_stack([motion.linear[:, :2], motion.rates[:, 2]])
-        outcome = self._outcome(substeps, motion, moved, action_before)
+            velocity = np.column_stack([motion.linear[:, :2], motion.rates[:, 2]])
+        outcome = self._outcome(substeps, motion, velocity, action_before)
         diverged = self._diverged()
         if diverged.any():
             state.action[diverged] = 0.0  # the action may be what was not finite
             outcome = Outcome(*(np.where(diverged, *x) for x in zip(NOTHING, outcome, strict=True)))
-        self._count(moved, outcome)
-        terminated = diverged | outcome.fell | outcome.overload
+        self._count(velocity, outcome)
+        terminated = diverged | outcome.contact | outcome.overload
         truncated = ~terminated & (state.age >= self.env_cfg.episode_steps)
         ended = (terminated | truncated) & ~np.isnan(state.episode_return)
         log = self._log(motion, outcome) | dict(
             episode_return=np.where(ended, state.episode_return, np.nan),
             episode_length=np.where(ended, state.age, np.nan),
-            ended_fall=outcome.fell,
+            ended_fall=outcome.contact,
             ended_diverged=diverged,
             ended_limit=truncated,  # of time
             ended_power=outcome.overload,
@@ -257,24 +257,25 @@ class Go1Env:
             qds.append(self.qvel[:, 6:].copy())  # nothing limits the speed (D7)
         return Substeps(np.array(torques), np.array(qds), touched)
 
-    def _outcome(self, substeps, motion, moved, action_before):
-        """The Outcome of a control step; moved: (N, 3) v_x, v_y [m/s] and yaw rate [rad/s]."""
-        reward = task_reward = self.task.reward(moved, self.state.command)  # Eqs. (5) to (8)
+    def _outcome(self, substeps, motion, velocity, action_before):
+        """The Outcome of a control step; velocity: (N, 3), as rewards.py takes it."""
+        reward = task_reward = self.task.reward(velocity, self.state.command)  # Eqs. (5) to (8)
         if self.env_cfg.reward == "shaped":
-            reward = self._shaped_reward(moved, motion, substeps, action_before)
+            reward = self._shaped_reward(substeps, motion, velocity, action_before)
         power, cost = self._power_and_cost(substeps)
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
-        fell = substeps.touched[:, forbidden].any(-1)  # however lightly it touches
+        contact = substeps.touched[:, forbidden].any(-1)  # however lightly it touches
         max_power = np.inf if self.env_cfg.max_power is None else self.env_cfg.max_power
-        return Outcome(reward, task_reward, cost, power, fell, (power > max_power) & ~fell)
+        overload = (power > max_power) & ~contact
+        return Outcome(reward, task_reward, cost, power, contact, overload)
 
-    def _count(self, moved, outcome):
+    def _count(self, velocity, outcome):
         """Count this control step in all that is counted or summed over steps."""
         state = self.state
         state.age += 1
         state.episode_return += outcome.reward
         if self.commands.learns:
-            state.kernels += np.column_stack(rewards.kernels(moved, state.command))
+            state.kernels += np.column_stack(rewards.kernels(velocity, state.command))
         if self.env_cfg.reward == "shaped":
             on_ground = self.contacts[:, go1.FEET] > 0
             state.off_ground[:] = np.where(on_ground, 0, state.off_ground + 1)
@@ -302,7 +303,7 @@ class Go1Env:
         """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""
         return (substeps.qd[-1] - substeps.qd[0]) / self.period
 
-    def _shaped_reward(self, moved, motion, substeps, action_before):
+    def _shaped_reward(self, substeps, motion, velocity, action_before):
         """The shaped reward (N,)."""
         state = self.state
         touch = self.contacts[:, go1.FEET] > 0
@@ -321,7 +322,7 @@ class Go1Env:
             q=self.qpos[:, 7:],
             joint_range=self.joint_range,
         )
-        return rewards.shaped(moved, state.command, gait)
+        return rewards.shaped(velocity, state.command, gait)
 
     def _log(self, motion, outcome):
         """Numbers (N,) that tell how training goes: m/s, W, and shares of 1."""
@@ -362,7 +363,7 @@ class Go1Env:
 
     def _plan(self, ids):
         """Set for how long the commands of the robots `ids` are to last: until the next one or the
-        limit of time. One that came just when time was up lasts for none, and 1 divides its 0.
+        limit of time. It is at least 1, because `_next_command` divides by it.
         """
         left = self.env_cfg.episode_steps - self.state.age[ids]
         self.state.planned[ids] = np.clip(left, 1, self.env_cfg.command_steps)

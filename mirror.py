@@ -16,9 +16,9 @@ about half as many numbers as x, since the others repeat those, up to signs, or 
 
 take two products, each of a quarter of an ordinary layer's size: half the time.
 
-A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. An array that is made
-of parts, one after the other, has a list of mirrors, one for each part. An environment has such
-lists for all that it shows or is told, in `mirror`.
+A mirror is written as (index, sign): number i of M x is sign[i] x[index[i]]. Arrays one after the
+other have a list of mirrors. An environment has such lists for all that it shows or is told, in
+`mirror`.
 """
 
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class MirroredMLP:
     leave: tuple = field(metadata=dict(static=True))
 
     def __call__(self, x):
-        """Outputs (..., m) for inputs (..., n)."""
+        """Outputs for inputs, as `networks.MLP`."""
         even, odd = parts(x, self.enter)
         for i, (A, B, bias) in enumerate(self.halves):
             if i:
@@ -52,7 +52,7 @@ class MirroredMLP:
                 right, left = jax.nn.elu(even + odd), jax.nn.elu(even - odd)
                 even, odd = (right + left) / 2, (right - left) / 2
             even, odd = even @ A + bias, odd @ B
-        # the mean of what the right units say, and of the image of what the left ones say
+        # the mean of the outputs for x, and of the images of those for M x
         return (even + odd + reflect(even - odd, self.leave)) / 2
 
     @property
@@ -67,8 +67,8 @@ class MirroredMLP:
             right, left = even @ A + odd @ B, even @ A - odd @ B
             layers.append((np.hstack([right, left]), np.tile(bias, 2)))
             mirror = swap(2 * len(bias))
-        halves = [np.split(x, 2, -1) for x in layers[-1]]
-        layers[-1] = [(right + reflect(left, self.leave)) / 2 for right, left in halves]
+        last = [np.split(x, 2, -1) for x in layers[-1]]
+        layers[-1] = [(right + reflect(left, self.leave)) / 2 for right, left in last]
         return [(np.float32(weights), np.float32(bias)) for weights, bias in layers]
 
 
@@ -82,7 +82,7 @@ def tied(mlp, enter, leave):
     halves, mirror = [], enter
     for i, (weights, bias) in enumerate(mlp.layers):
         m = len(bias) if i + 1 == len(mlp.layers) else len(bias) // 2
-        # a number of the even part that stands for two of x gets the weights of both
+        # a number that stands for a pair gets the weights of both
         twice = 1 + (np.arange(len(weights)) != mirror[0])
         A, B = (part.T for part in parts(twice * weights[:, :m].T, mirror))
         halves.append((np.float32(A), np.float32(B), bias[:m]))
@@ -90,17 +90,17 @@ def tied(mlp, enter, leave):
     return MirroredMLP(halves, enter, leave)
 
 
-def init_params(rng, env, heads, cfg):
+def init_params(rng, env, K, cfg):
     """As `networks.init_params`, of networks that commute with the mirrors of env."""
     obs, privileged, action = (env.mirror[x] for x in ("obs", "privileged", "action"))
-    values = [([0], [1])] * heads  # which a mirror does not change
+    values = [([0], [1])] * K  # which a mirror does not change
     state = joined(obs + privileged)
     sides = dict(
         actor=(state, joined(action)),
         critic=(state, joined(values)),
         estimator=(joined(obs), joined(privileged)),
     )
-    params = networks.init_params(rng, env, heads, cfg)
+    params = networks.init_params(rng, env, K, cfg)
     return params | {net: tied(params[net], *mirrors) for net, mirrors in sides.items()}
 
 

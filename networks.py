@@ -63,18 +63,18 @@ def log_prob(mean, std, action):
     return norm.logpdf(action, mean, std).sum(-1)
 
 
-def init_params(rng, env, heads, cfg):
+def init_params(rng, env, K, cfg):
     """Random parameters, drawn by NumPy, because JAX would take seconds to compile that many draws.
 
-    rng:   np.random.Generator
-    env:   only its obs_size, privileged_size and action_size are used
-    heads: K
-    cfg:   ppo.PPOConfig, with the widths of the hidden layers
+    rng: np.random.Generator
+    env: only its obs_size, privileged_size and action_size are used
+    K:   heads of the critic
+    cfg: ppo.PPOConfig, with the widths of the hidden layers
     """
     obs, privileged, action = env.obs_size, env.privileged_size, env.action_size
     return dict(
         actor=init_mlp(rng, [obs + privileged, *cfg.hidden, action]),
-        critic=init_mlp(rng, [obs + privileged, *cfg.hidden, heads]),
+        critic=init_mlp(rng, [obs + privileged, *cfg.hidden, K]),
         estimator=init_mlp(rng, [obs, *cfg.hidden_estimator, privileged]),
         log_std=np.full(action, cfg.log_std, np.float32),
     )

@@ -19,8 +19,8 @@ from dataclasses import replace
 def way_to_draw():
     """How MuJoCo can draw without a display: egl, osmesa or off."""
     found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
-    # EGL is often there without a driver that it needs. A process can load one of both, so another
-    # one tries
+    # EGL is often there without its driver. A process can load only one of both, so a second
+    # process tries
     code = "import mujoco; mujoco.GLContext(8, 8).make_current()"
     trial = dict(env=os.environ | dict(MUJOCO_GL="egl"), capture_output=True)
     if len(found) == 2 and subprocess.run([sys.executable, "-c", code], **trial).returncode:
@@ -53,7 +53,7 @@ LIMITS = dict(
 
 
 def make_env(env_cfg, asked):
-    """One robot on one tile, without a time limit, which starts from the nominal pose.
+    """One robot on the roughest tile, without a time limit, which starts from the nominal pose.
 
     asked: (3,) [m/s, m/s, rad/s], which the caller may change in place: the robot hears at once
     """
@@ -65,7 +65,7 @@ def make_env(env_cfg, asked):
 def play(env, pi, seed=0):
     """Let a Policy drive the robot for ever. Yields the log of each control step.
 
-    seed: of friction, payload, heading and ground under the robot
+    seed: of all draws but the ground's heights, as in training
     """
     obs, _ = env.reset(seed)
     while True:

@@ -3,7 +3,7 @@
     pi = policy.load("policy.npz")
     target = pi.act(gravity, command, q, qd)  # 50 times a second
 
-No policy of ours has run on a real robot. What `act` takes and returns:
+No policy of ours has run on a real robot. The arrays of `act`:
 
 | array    | width | unit       | meaning                                                  |
 |----------|-------|------------|----------------------------------------------------------|
@@ -41,7 +41,7 @@ FASTEST = 100.0  # [rad/s] of joints
 
 @dataclass
 class Policy:
-    """A trained policy: `mean` for what robots see, or `act` for one robot that measures.
+    """A trained policy: `mean` takes observations, and `act` what one robot measures.
 
     `act` remembers what the robot has measured since `start`.
     """

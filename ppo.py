@@ -30,7 +30,7 @@ class PPOConfig:
     gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's is 0.01
-    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient
+    max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient (D31)
     reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
     log_std: float = 0.0  # [lab code] log of the noise's standard deviation at the start
     hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
@@ -69,7 +69,7 @@ def ppo_update(learner, tau, target, advantage, key, cfg):
     tau:       eipo.Transition of the rollout
     target:    (T, N, K) for the critic
     advantage: (T, N), mixed. It is normalised here, once, over steps and robots
-    The losses are means of what `ppo_loss` logs, lr, and the gradients skipped since the start.
+    Losses are the means of what `ppo_loss` logs. With them come lr, and the steps skipped so far.
     """
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     data = dict(obs=tau.obs, privileged=tau.privileged, action=tau.action, log_prob=tau.log_prob)

@@ -8,9 +8,9 @@ The functions of the equations take
 
 with any leading batch shape. `flat`, `rough`, `max_velocity` and `curriculum` return (...,): the
 reward r of Eq. (1) for one control step. It has no unit, except that of Eq. (7), in m/s. The
-learner scales it by 0.02 (`eipo.Config.reward_scale`). The paper names no frame of reference for
-the velocity. The environment passes the velocity over ground, in the horizontal frame that is
-turned with the robot's heading, unless `tasks.Config.velocity_frame` says otherwise.
+learner scales it by 0.02 (`eipo.Config.reward_scale`). The environment passes the velocity over
+ground, in the horizontal frame that is turned with the robot's heading, unless
+`tasks.Config.velocity_frame` says otherwise (D25).
 """
 
 from typing import NamedTuple
@@ -20,8 +20,8 @@ from numpy import exp, minimum, square
 
 from energy import norm2
 
-SIGMA_VXY = 0.25  # m^2/s^2, the lab's value; the paper prints none
-SIGMA_WZ = 0.25  # rad^2/s^2, the lab's value; the paper prints none
+SIGMA_VXY = 0.25  # m^2/s^2 (D5)
+SIGMA_WZ = 0.25  # rad^2/s^2 (D5)
 
 
 def unpack(velocity, command):
@@ -67,8 +67,8 @@ def curriculum(velocity, command):
 
 # ---- the baseline of Section V-E ----
 
-# Weights of the shaped reward of reference [5], two terms for tracking and ten for a good gait, as
-# in the lab's code. `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
+# Weights of the shaped reward of [5], two terms for tracking and ten for a good gait (D5).
+# `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
 SHAPED = dict(
     linear=1.0,
     angular=0.5,

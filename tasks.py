@@ -18,10 +18,10 @@ import rewards
 
 
 class Commands:
-    """No commands: every robot is asked for 0. Subclasses ask for something."""
+    """What robots are asked to do."""
 
     example = np.zeros(3)  # play.py gives this command, evaluate.py 0, 1/10, ... 1 of it
-    low = high = np.zeros(3)  # the ends of the viewer's sliders
+    low = high = np.zeros(3)  # ends of commands, and of the viewer's sliders
     learns = False  # whether `record` does anything
     weights = np.zeros(0)  # what was learned
 
@@ -30,7 +30,6 @@ class Commands:
 
     def draw(self, rng, robots):
         """New commands (n, 3) [m/s, m/s, rad/s] for n robots, which are given by their numbers."""
-        return np.zeros((len(robots), 3))
 
     def record(self, command, kernels):
         """Learn how well n commands were followed; kernels: (n, 2) means of those of Eq. (8)."""
@@ -141,9 +140,8 @@ LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10), the w
 ITERATIONS = dict(flat=4000, rough=4000, velocity=10_000)  # of the paper's runs [V-A], [V-B], [V-D]
 
 # Alpha has one clock (D38). The paper's step 0.01 and momentum 0.99 are for runs of 4000 iterations
-# (`velocity`: 10 000). In a run that is k times shorter, alpha's clock runs k times faster: its
-# step is 0.01 k^2, its momentum 1 - 0.01 k. No length is printed for `curriculum`, which has the
-# clock of `flat`. `velocity` has half as many robots (D9).
+# (`velocity`: 10 000). In a run that is k times shorter, alpha's step is 0.01 k^2, and its momentum
+# 1 - 0.01 k. No length is printed for `curriculum`, which has those of `flat`.
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
@@ -164,7 +162,7 @@ TASKS = {
         world=dict(
             history=10,  # [V-B]
             roughness=(0.0, 0.15),  # [IV-A.2]
-            cells_per_m=1,  # [lab code]
+            cells_per_m=1,  # [lab code] (D22)
         ),
         learner=dict(
             lam=0.0002,  # [V-B]
@@ -203,10 +201,10 @@ TASKS = {
             max_power=800.0,  # [IV-A.4]
             episode_steps=1000,  # [V-A]
             command_steps=500,  # [lab code] ten seconds
-            # "increased domain randomization" [IV-A.4], which prints no ranges (D34)
-            friction=(0.55, 1.25),  # [lab code] the lab's 0.1 is averaged with its ground's 1
+            # "increased domain randomization" [IV-A.4], which prints no ranges (D24)
+            friction=(0.55, 1.25),  # [ours] (D43)
             payload=(-1.0, 3.0),  # [lab code]
-            com=(-0.05, 0.05),  # [ours] the lab has 0.1, or none
+            com=(-0.05, 0.05),  # [ours] the lab has up to 0.2
             motor_strength=(0.9, 1.1),  # [lab code]
             motor_offset=(-0.02, 0.02),  # [lab code]
             gravity=(-1.0, 1.0),  # [lab code]

@@ -2,7 +2,7 @@
 
 The paper says that the ground is Perlin noise, and how rough it is on each task. We take roughness
 to be the height from the lowest to the highest point of a tile. The paper does not say how fine the
-noise is. The lab's code has 4 cells per metre, and 1 where it learns with EIPO.
+noise is (D22).
 
 All robots share one height field, a row of square tiles, each with its own roughness. A tile is
 periodic: where a robot leaves it, the ground goes on as at the opposite edge, and there the robot

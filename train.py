@@ -29,9 +29,8 @@ from runtime.flags import Options, parse
 
 
 def make_envs(env_cfg, cfg, threads):
-    """The environments of pi and, for EIPO, of pi_prime: they split num_envs and share commands.
-
-    This makes J(pi) and J(pi') comparable (D23).
+    """The environments of pi and, for EIPO, of pi_prime: they split num_envs, and share a grid of
+    commands (D23).
     """
     policies = 2 if cfg.algo == "eipo" else 1
     commands = tasks.TASKS[env_cfg.task].commands()
@@ -51,10 +50,10 @@ def train(folder, envs, cfg, options, command):
     earlier = run_folder.starts(folder) if options.resume else []
     about = run_folder.record(env_cfg, cfg, command, jax_setup.numerics(), earlier)
     log = metrics.Log(folder, begun.iteration, cfg.iterations)
-    what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} environments"
+    what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} robots"
     say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     state, stop = begun, None
-    is_due, failed = True, False  # each start saves its first iteration: a full disk shows
+    is_due, failed = True, False  # the first iteration is saved, to find a full disk
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*envs, cfg, begun):
         stop = stop or StopRequest()  # from the first iteration on there is something to save
@@ -77,8 +76,8 @@ def train(folder, envs, cfg, options, command):
 
 
 def save(folder, log, state, envs, cfg, about):
-    """Write all that a run keeps, the checkpoint after what it is of. Killed in between, a run goes
-    on from the checkpoint before, with the same bits.
+    """Write all that a run keeps, the checkpoint after log and policies. If killed before it, a
+    run goes on from the previous one, with the same bits.
     """
     run_folder.save_config(folder, about)
     log.write()
