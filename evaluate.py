@@ -49,7 +49,10 @@ class Episodes(NamedTuple):
 
 
 def evaluation_config(env_cfg, clip=CLIP, nominal=False):
-    """The Config in which a policy that was trained with env_cfg is evaluated, see `load`."""
+    """The Config in which a policy that was trained with env_cfg is evaluated, see `load`.
+
+    nominal: start from the nominal pose at rest, not from random poses as in training
+    """
     return replace(
         env_cfg,
         reward="paper",
@@ -64,16 +67,15 @@ def evaluation_config(env_cfg, clip=CLIP, nominal=False):
     )
 
 
-def load(folder, clip=CLIP, nominal=False, prime=False):
+def load(folder, clip=CLIP, prime=False):
     """The policy.Policy of a run folder, and the Config in which it is evaluated.
 
-    clip:    of Eq. (9), "power" or "torque"
-    nominal: start from the nominal pose at rest, not from random poses as in training
-    prime:   take pi', the rival, which only runs of EIPO have
+    clip:  of Eq. (9), "power" or "torque"
+    prime: take pi', the rival, which only runs of EIPO have
     """
     name = "policy_prime.npz" if prime else "policy.npz"
     pi, env_cfg = run_folder.load_policy(Path(folder) / name)
-    return pi, evaluation_config(env_cfg, clip, nominal)
+    return pi, evaluation_config(env_cfg, clip)
 
 
 # ---- episodes ----
@@ -113,12 +115,12 @@ def run_episodes(policy, env):
 # ---- numbers ----
 
 
-def energy_per_metre(power, v_x, axis=-1):
+def energy_per_metre(power, v_x):
     """Energy per metre [J/m] of robots: mean power [W] over mean speed [m/s], ahead or backwards.
 
-    power, v_x: (..., N), averaged over axis. Robots that stand spend infinitely much.
+    power, v_x: (..., N), averaged over the last axis. Robots that stand spend infinitely much.
     """
-    power, speed = np.mean(power, axis), np.abs(np.mean(v_x, axis))
+    power, speed = np.mean(power, -1), np.abs(np.mean(v_x, -1))
     return np.where(speed > SLOW, power / np.maximum(speed, SLOW), np.inf)
 
 

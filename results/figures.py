@@ -250,7 +250,7 @@ def alpha(runs):
     of PPO, with what it scores and draws: at such an alpha pi has the same objective.
     """
     groups = by_group(runs)
-    groups = {group: kinds for group, kinds in groups.items() if any(map(is_eipo, kinds))}
+    groups = {x: kinds for x, kinds in groups.items() if any(k.algo == "eipo" for k in kinds)}
     if not groups:
         raise Refused("none of these runs is of EIPO, which alone has an alpha")
     rows, colors = [], {}  # a kind has one colour in all panels
@@ -278,11 +278,6 @@ def alpha(runs):
         axes.grid(alpha=0.3)
     legend_below(figure)
     return rows, figure
-
-
-def is_eipo(kind):
-    """Whether a kind of run is of EIPO."""
-    return kind.algo == "eipo"
 
 
 def weights(runs):

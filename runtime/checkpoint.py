@@ -1,7 +1,6 @@
 """checkpoint.npz: all that the next iteration depends on, and the settings to go on with."""
 
 import json
-import os
 from dataclasses import asdict
 
 import jax
@@ -10,7 +9,7 @@ import numpy as np
 
 import eipo
 from runtime import jax_setup, robot, run_folder
-from runtime.cli import Refused, tuples
+from runtime.cli import tuples
 
 
 def saved(env):
@@ -33,26 +32,20 @@ def save(path, state, envs, cfg):
     for i, env in enumerate(envs):
         arrays |= {f"env{i}.{name}": x for name, x in saved(env).items()}
     settings = dict(env=asdict(envs[0].env_cfg), learner=asdict(cfg), robot=robot.digest())
-    settings |= dict(jax_threads=os.environ.get(jax_setup.THREADS))
     settings |= dict(jax=jax_setup.configuration() | jax_setup.numerics())
     arrays["settings"] = np.array(json.dumps(settings))
     run_folder.replace_file(path, lambda file: np.savez(file, **arrays))
 
 
 def load_settings(path):
-    """Both Configs of a checkpoint, the threads that JAX had, and what it computed with, as `save`
-    has it. In those of older versions that is `jax_setup.numerics` alone.
-    """
+    """Both Configs of a checkpoint, and what JAX computed with, as `save` has it."""
     arrays = run_folder.read_npz(path)
-    if any(name.startswith("process0.") for name in arrays):
-        raise Refused(f"{path} is of an older version: commit 31a2f37 of this project continues it")
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
-        env_cfg, cfg = run_folder.read_config(kept["env"]), tuples(kept["learner"])
-        cfg = eipo.Config(**cfg)
-        began = kept["jax_threads"], kept["jax"]
-    robot.refuse_other_digest(path, kept.get("robot"))
-    return env_cfg, cfg, *began
+        env_cfg = run_folder.read_config(kept["env"])
+        cfg = eipo.Config(**tuples(kept["learner"]))
+        robot.refuse_other_digest(path, kept["robot"])
+        return env_cfg, cfg, kept["jax"]
 
 
 def load(path, template, envs):

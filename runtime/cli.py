@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import sys
-import threading
 from contextlib import suppress
 from operator import ge, gt, le, lt
 from pathlib import Path
@@ -162,16 +161,15 @@ class StopRequest:
     """From now on the first signal makes `requested` True, and the second one ends the process.
 
     Made after the first iteration: before that nothing is worth saving, and JAX compiles in C++,
-    where a handler in Python would have to wait. In a thread, as of a notebook, nothing is heard.
+    where a handler in Python would have to wait.
     """
 
     def __init__(self):
         self.requested = False
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)):
-                # a script's `&` lets it ignore SIGINT, and nohup SIGHUP
-                if number and signal.getsignal(number) != signal.SIG_IGN:
-                    signal.signal(number, self.hear)
+        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)):
+            # a script's `&` lets it ignore SIGINT, and nohup SIGHUP
+            if number and signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self.hear)
 
     def hear(self, number, _):
         self.requested = True

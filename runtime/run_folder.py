@@ -78,8 +78,6 @@ def replace_file(path, write):
 @contextmanager
 def lock(folder):
     """Make a run folder and keep it to this process. Raises Refused if another one has it."""
-    if os.path.lexists(folder) and not folder.is_dir():  # a file, or a link to nowhere
-        raise Refused(f"{folder} is no folder")
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "lock", "a") as file:
         try:

@@ -36,8 +36,7 @@ def resumed(folder, options, given):
 
     given: the settings that the command line names, which must be the run's
     """
-    env_cfg, cfg, jax_threads, began = checkpoint.load_settings(folder / "checkpoint.npz")
-    run_folder.starts(folder)  # refuses a config.json to which nothing can be added
+    env_cfg, cfg, began = checkpoint.load_settings(folder / "checkpoint.npz")
     settings = asdict(env_cfg) | asdict(cfg)
     for name, x in given.items():
         if x != settings[name] and not (name == "iterations" and x > settings[name]):
@@ -45,12 +44,12 @@ def resumed(folder, options, given):
             raise Refused(f"{what}: --resume can only raise iterations")
     cfg = replace(cfg, iterations=given.get("iterations", cfg.iterations))
     check(options, env_cfg, cfg)
-    jax_setup.set_threads(jax_threads)
+    jax_setup.set_threads(began["threads"])
     now = jax_setup.configuration() | jax_setup.numerics()
-    was = dict(threads=jax_threads) | began
-    changed = [x for x in was if x in now and was[x] != now[x]]  # each JAX has settings of its own
+    # each JAX has settings of its own
+    changed = [x for x in began if x in now and began[x] != now[x]]
     if changed:
-        other = ", ".join(f"{x} {was[x]} and not {now[x]}" for x in changed)
+        other = ", ".join(f"{x} {began[x]} and not {now[x]}" for x in changed)
         warn(f"the last start of {folder} began with {other}: last digits will differ")
     return env_cfg, cfg
 

@@ -3,7 +3,6 @@ for granted.
 """
 
 import itertools
-import json
 import re
 
 import mujoco
@@ -17,7 +16,7 @@ import go1
 import play
 import tasks
 import train
-from runtime import checkpoint, robot, run_folder
+from runtime import checkpoint, robot
 from runtime.cli import Refused
 
 JOINTS = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
@@ -47,22 +46,6 @@ def test_numbers_of_the_urdf(model):
     assert model.jnt_limited[1:].all()
     assert model.dof_armature[6:] == pytest.approx([0.00448, 0.00448, 0.01008] * 4, rel=0.01)
     assert not model.dof_damping.any() and not model.dof_frictionloss.any()
-
-
-def test_order_of_joints_and_motors(model):
-    """A free trunk, then FR, FL, RR, RL x hip, thigh, calf, as in actions and observations.
-
-    Motor i turns joint i with gear 1, so that ctrl is the joint torque of Eq. (9), and MuJoCo does
-    not limit it.
-    """
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    assert joints == ["root", *(f"{name}_joint" for name in JOINTS)]
-    assert model.jnt_qposadr[1:].tolist() == list(range(7, 19))
-    assert model.jnt_dofadr[1:].tolist() == list(range(6, 18))
-    assert [model.actuator(i).name for i in range(model.nu)] == JOINTS
-    assert model.actuator_trnid[:, 0].tolist() == list(range(1, 13))
-    assert model.actuator_gear[:, 0].tolist() == [1.0] * 12
-    assert not model.actuator_ctrllimited.any() and not model.actuator_forcelimited.any()
 
 
 def test_collisions(model):
@@ -270,19 +253,13 @@ def test_digest_of_another_robot(rewrite, monkeypatch, edit, numbers):
 
 
 def test_what_another_robot_trained_is_refused(tmp_path, capsys, monkeypatch):
-    """Its policy and its checkpoint. Those of before the digest are read, of whatever robot."""
+    """Its policy and its checkpoint."""
     run, cfg = make_run(tmp_path / "run"), eipo.Config(num_envs=2)
     envs = train.make_envs(tasks.Config(), cfg, 1)
     checkpoint.save(run / "checkpoint.npz", eipo.init_state(envs, cfg), envs, cfg)
-    old = run_folder.read_npz(run / "checkpoint.npz")
-    settings = json.loads(str(old["settings"]))
-    assert settings.pop("robot") == robot.digest()
-
     monkeypatch.setattr(go1, "STALL_TORQUE", go1.STALL_TORQUE + 1)
     for main in (evaluate.main, play.main):
         said = error_of(capsys, main, run)
         assert f"{run / 'policy.npz'} is of another robot" in said and robot.digest() in said
     said = error_of(capsys, train.main, "--out", run, "--resume")
     assert f"{run / 'checkpoint.npz'} is of another robot" in said
-    np.savez(run / "checkpoint.npz", **old | dict(settings=json.dumps(settings)))
-    assert checkpoint.load_settings(run / "checkpoint.npz")[0].task == "flat"

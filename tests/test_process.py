@@ -89,12 +89,6 @@ def test_a_refusal_fits_a_screen():
     assert 200 < len(str(refused.value)) < 300
 
 
-def test_a_link_to_nowhere_is_no_folder(tmp_path, capsys):
-    (tmp_path / "run").symlink_to(tmp_path / "nowhere")
-    said = error_of(capsys, train.main, *TINY, "--out", tmp_path / "run")
-    assert said.endswith("run is no folder")
-
-
 @pytest.mark.parametrize("threads", ["abc", "0", "-1", ""])
 def test_a_number_of_threads_that_is_none_is_refused(tmp_path, capsys, monkeypatch, threads):
     monkeypatch.setenv("PJRT_NPROC", threads)

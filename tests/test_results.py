@@ -15,7 +15,6 @@ from support import ROOT, error_of, make_run
 import eipo
 import evaluate
 import go1_env
-import policy
 import tasks
 from networks import MLP
 from results import figures, paper, runs, tables
@@ -622,7 +621,6 @@ def test_a_place_that_cannot_be_written_is_refused_before_it_plays(short, capsys
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # the tests may run as root
     monkeypatch.setattr(evaluate, "run_episodes", None)
     assert "cannot be written" in error_of(capsys, main, "add", run_of("r"), *TO)
-    assert "cannot be written" in error_of(capsys, main, "fig2", RESULTS / "flat", "--out", "d")
 
 
 @pytest.mark.parametrize(
@@ -634,16 +632,12 @@ def test_a_file_does_not_say_where_its_run_was(out):
 
 
 def test_the_record_can_be_read():
-    """Every run of results/ is of its folder's task and of a learner that is known. Every policy
-    can be loaded.
-    """
+    """Every run of results/ is of its folder's task and of a learner that is known."""
     found = runs.read_all([RESULTS / task for task in tasks.TASKS if task != "turn"])
     assert len(found) > 100 and runs.by_group(found)
     for task in tasks.TASKS:
         assert {run.settings["task"] for run in runs.read_all([RESULTS / task])} == {task}
     assert all(start["command"] and start["commit"] for run in found for start in run.starts)
-    policies = [*RESULTS.rglob("policy*.npz")]
-    assert len(policies) > 3 and all(policy.load(path) for path in policies)
 
 
 def test_a_committed_picture_comes_from_the_committed_runs(tmp_path):

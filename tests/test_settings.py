@@ -172,9 +172,8 @@ def test_what_is_extreme_has_its_sense(given):
 
 
 def test_a_run_that_goes_on_is_checked_as_well(capsys, monkeypatch):
-    was = tasks.Config(), eipo.Config(gamma=1.5), None, None
+    was = tasks.Config(), eipo.Config(gamma=1.5), None
     monkeypatch.setattr(start.checkpoint, "load_settings", lambda *_: was)
-    monkeypatch.setattr(start.run_folder, "starts", lambda *_: [])
     assert "--gamma is 1.5" in error_of(capsys, train.main, "--resume")
     assert "--threads is 0" in error_of(capsys, train.main, "--resume", "--threads", "0")
 
