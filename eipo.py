@@ -187,7 +187,7 @@ def init_state(envs, cfg, init=init_params):
     key = jax.random.PRNGKey(cfg.seed)
     rng, rng_prime = np.random.default_rng(cfg.seed).spawn(2)
     envs[0].reset(2 * cfg.seed)  # even seeds for pi and odd ones for pi_prime: none comes twice
-    # the critic learns lam f (D30), and if lam is 0 nothing of f (D44)
+    # the critic learns lam f, and if lam is 0 nothing of f (D30)
     heads = dict(reward=1.0, cost=cfg.lam) if cfg.lam else dict(reward=1.0)
     pi = init_learner(rng, envs[0], heads, cfg, init)
     if len(envs) == 1:

@@ -146,10 +146,10 @@ def pd_torque(target, q, qd):
 def motor_model(target, q, qd):
     """Torque of the Go1's real motors, which are not ideal PD controllers [N m]. Section IV-A.4.
 
-    Deviation D11: the paper's network is not public. This function and the torque-speed limit after
-    it approximate the lab's published network for position errors below about 0.5 rad. It is a PD
-    controller with 0.2 N m s / rad more damping. That network saturates earlier, at 18 N m for
-    1 rad. A network can take the place of this function.
+    Deviation D11: the paper does not say which network it is. This function and the torque-speed
+    limit after it approximate the lab's published one for position errors below about 0.5 rad. It
+    is a PD controller with 0.2 N m s / rad more damping. That network saturates earlier, at 18 N m
+    for 1 rad. A network can take the place of this function.
     """
     return KP * (target - q) - (KD + 0.2) * qd
 

@@ -323,7 +323,7 @@ def test_eq10_algorithm1_line04_alpha_at_the_start(monkeypatch):
 
 
 def test_ppo_without_energy_has_a_critic_of_the_task_alone():
-    """D44. lam f would be 0."""
+    """D30. lam f would be 0."""
     state = eipo.init_state([Probe(one)], replace(EIPO, lam=0.0))
     assert state.pi.heads == (("reward", 1.0),)
 
