@@ -212,7 +212,7 @@ def table1(runs):
     own = [*eipo("velocity"), *ppo(*LAMBDAS)]
     printed = dict(zip(own, TABLE1, strict=True))
     most = max(map(len, groups.values()))
-    figure, panels = panels_of(groups, 1, width=6.0, height=0.35 * most)
+    figure, panels = panels_of(groups, 1, width=6.0, height=0.45 * most)
     for group, (axes,) in panels:
         kinds = groups[group]
         for at, (kind, arm) in enumerate(kinds.items()):
@@ -235,8 +235,8 @@ def table1(runs):
             axes.errorbar(mean, at, xerr=error, fmt="o", color=BLUE, capsize=3)
             axes.plot(paper, at, "D", color="#D55E00", markerfacecolor="none")
         labels = [f"{kind}, n = {len(arm)}".replace(", ", ",\n") for kind, arm in kinds.items()]
-        axes.set(yticks=range(len(kinds)), yticklabels=labels, xlabel="peak velocity [m/s]")
-        axes.invert_yaxis()
+        axes.set(yticks=range(len(kinds)), yticklabels=labels, ylim=(len(kinds) - 0.5, -0.5))
+        axes.set_xlabel("peak velocity [m/s]")
         axes.grid(alpha=0.3)
     figure.suptitle("dots: ours; diamonds: the paper's", fontsize=8)
     return rows, figure
