@@ -99,6 +99,8 @@ def main(argv):
     folder, env_cfg, cfg = start.begin(options, *given)
     envs = make_envs(env_cfg, cfg, options.threads)
     with run_folder.lock(folder):
+        if not options.resume:  # another process may have trained here meanwhile
+            start.refuse_used(folder)
         iteration = train(folder, envs, cfg, options, ["python", "train.py", *argv])
     if iteration < cfg.iterations:
         resume = [] if options.resume else ["--resume"]

@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -332,6 +333,19 @@ def test_a_file_that_is_in_use_costs_no_iteration(finished, tmp_path, capsys, mo
     for name in ("checkpoint.npz", "policy.npz"):
         ours, theirs = (run_folder.read_npz(x / name) for x in (tmp_path, finished))
         assert all(x.tobytes() == theirs[key].tobytes() for key, x in ours.items())
+
+
+def test_who_trained_while_another_got_ready_keeps_its_run(finished, tmp_path, capsys, monkeypatch):
+    """The folder is free when the second one looks, and not when it has its environments."""
+    folder, real = tmp_path / "new", train.make_envs
+
+    def make_envs(*given):
+        shutil.copytree(finished, folder)
+        return real(*given)
+
+    monkeypatch.setattr(train, "make_envs", make_envs)
+    assert "already holds" in error_of(capsys, train.main, *FLAGS, "--out", folder)
+    assert contents(folder) == contents(finished)
 
 
 def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch):
