@@ -31,7 +31,7 @@ from runtime.cli import COUNT, Parser, a_path, misfit, program
 SEED = 2**64 + 2024
 CLIP = "power"  # what Eq. (9) clips for every policy, whatever it was trained with (D3)
 EPISODE_STEPS = 1000  # control steps, Section V-A
-SLOW = 0.05  # m/s, robots whose mean speed is at most this one count as standing
+SLOW = 0.05  # m/s, robots that are no faster on average count as standing
 ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of training [V-B]
 
 

@@ -135,7 +135,7 @@ def main(argv):
         parser.error("--web shows a run and --gif draws it: give one of them")
     for flag, given, needs in (("seconds", args.gif, "gif"), ("port", args.web, "web")):
         if vars(args)[flag] is not None and not given:
-            parser.error(f"--{flag} is of --{needs}: it does nothing without")
+            parser.error(f"--{flag} needs --{needs}")
     if len(args.runs) > 1 and (args.web or not args.gif):
         parser.error("a window or a browser shows one RUN: draw several with --gif FILE")
     if args.gif and not is_place_for(args.gif, ".gif"):

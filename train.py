@@ -8,7 +8,6 @@ that was never stopped.
 """
 
 import os
-import shlex
 import signal
 import sys
 
@@ -53,23 +52,25 @@ def train(folder, envs, cfg, options, command):
     what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} robots"
     say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
     state, stop = begun, None
-    is_due, failed = True, False  # the first iteration is saved, to find a full disk
+    failed = False  # whether the last save did
     algorithm = eipo.eipo if cfg.algo == "eipo" else eipo.ppo
     for state, row in algorithm(*envs, cfg, begun):
         stop = stop or StopRequest()  # from the first iteration on there is something to save
         steps = state.iteration * cfg.num_steps * cfg.num_envs
         log.add(state.iteration, dict(steps=steps) | {name: float(x) for name, x in row.items()})
         is_last = stop.requested or state.iteration == cfg.iterations
-        is_due = is_due or is_last or state.iteration % options.checkpoint_every == 0
+        is_first = state.iteration == begun.iteration + 1  # it is saved, to find a full disk
+        is_due = is_first or is_last or state.iteration % options.checkpoint_every == 0
         try:
-            save(folder, log, state, envs, cfg, about) if is_due else log.write()
-            is_due = failed = False
+            save(folder, log, state, envs, cfg, about) if is_due or failed else log.write()
+            failed = False
         except OSError as error:  # the disk is full, or another program has a file open
             if is_last:
-                raise Refused(f"{error}: what was learned last is lost", status=1) from None
+                what = "what was learned since the last checkpoint is lost"
+                raise Refused(f"{error}: {what}", status=1) from None
             if not failed:
-                warn(f"{error}. It trains on, and tries again after each iteration")
-            is_due = failed = True
+                warn(f"{error}. Training goes on, and tries again after each iteration")
+            failed = True
         if is_last:
             break
     return state.iteration
@@ -104,10 +105,10 @@ def main(argv):
         iteration = train(folder, envs, cfg, options, ["python", "train.py", *argv])
     if iteration < cfg.iterations:
         resume = [] if options.resume else ["--resume"]
-        again = shlex.join(["python", run_folder.script("train.py"), *argv, *resume])
+        again = run_folder.command("train.py", *argv, *resume)
         say(f"\nStopped after iteration {iteration}. Continue with: {again}")
         return 130
-    look = shlex.join(["python", run_folder.script("play.py"), str(folder)])
+    look = run_folder.command("play.py", str(folder))
     say(f"\nDone: {folder} holds the policy and its curves. Look: {look}")
     return 0
 

@@ -45,10 +45,12 @@ def save_picture(figure, file):
 def save_rows(rows, file):
     """Write rows, dicts with the same keys, as CSV, with five digits of each number."""
     text = io.TextIOWrapper(file, "utf-8", newline="", write_through=True)
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(rows[0])
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
     for row in rows:
-        writer.writerow(f"{x:.5g}" if isinstance(x, float) else str(x) for x in row.values())
+        writer.writerow(
+            {name: f"{x:.5g}" if isinstance(x, float) else x for name, x in row.items()}
+        )
     text.detach()
 
 

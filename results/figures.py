@@ -1,7 +1,7 @@
 """The paper's Figures 2 to 6 and Table I, and two pictures of ours, from the runs that are kept.
 
-Each is a function of Runs that returns the rows of its CSV and the picture. Every run is seen: thin
-lines and small dots are seeds, thick and large ones their means.
+Each is a function of Runs that returns the rows of its CSV and the picture. Thin lines and small
+dots are seeds, thick and large ones their means.
 """
 
 from itertools import cycle
@@ -16,6 +16,7 @@ import evaluate
 from results.paper import MARGINS, TABLE1, eipo, ppo
 from results.runs import by_group, inside
 from runtime.cli import Refused
+from runtime.kinds import Kind
 from tasks import LAMBDAS
 
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
@@ -39,29 +40,30 @@ def style(kind):
     color = colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[shade])
     is_plain = (kind.aux, kind.reward, kind.other) == ("energy", "paper", ())
     look = dict(color=BLUE if kind.algo == "eipo" else color, linestyle="-" if is_plain else "--")
-    return look | dict(marker="Dos^v<>pPX"[sum(kind.lam >= x for x in LAMBDAS)])
+    return look | dict(marker="os^v<>pPX"[sum(kind.lam >= x for x in LAMBDAS[1:])])
 
 
-def panels_of(names, num_rows, width=4.0, height=3.0, **options):
+def panels_of(names, num_rows, width=4.0, height=3.0, sharex="col", **options):
     """A Figure with a column of panels for each name: (Figure, [(name, (Axes, ...)), ...]).
 
     width, height: [inch] of a panel
     """
     size = max(5.0, width * len(names)), height * num_rows + 1.0
     figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(num_rows, len(names), squeeze=False, sharex="col", **options).T
+    panels = figure.subplots(num_rows, len(names), squeeze=False, sharex=sharex, **options).T
     for name, (top, *_) in zip(names, panels, strict=True):
         top.set_title(str(name).replace(", ", ",\n"), fontsize=10)
     return figure, list(zip(names, panels, strict=True))
 
 
-def log_axis(axes):
-    """Make y logarithmic, with ticks at 1, 2, 5, 10, ..., if all that is drawn is above 0."""
-    if axes.dataLim.y0 > 0:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
+def log_axis(*panels):
+    """Make y of panels logarithmic, with ticks at 1, 2, 5, 10, ..., if all in them is above 0."""
+    if min(axes.dataLim.y0 for axes in panels) > 0:
+        for axes in panels:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_locator(NullLocator())
 
 
 def legend_below(figure):
@@ -132,10 +134,10 @@ def fig4(runs):
     return over_commands(runs, ["flat", "rough"], ("performance",))
 
 
-def outline(axes, mesh, inside):
-    """Draw the border of some cells of a mesh; inside: (rows, columns) bool, which they are."""
+def outline(axes, mesh, mine):
+    """Draw the border of some cells of a mesh; mine: (rows, columns) bool, which they are."""
     x, y = mesh.get_coordinates()[0, :, 0], mesh.get_coordinates()[:, 0, 1]
-    padded = np.pad(inside, 1)
+    padded = np.pad(mine, 1)
     look = dict(colors="#D55E00", linewidth=2, capstyle="projecting", clip_on=False)
     i, j = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
     axes.vlines(x[j], y[i], y[i + 1], **look)
@@ -152,7 +154,9 @@ def fig5(runs):
     columns, rows = ("performance", "power"), []
     (group, kinds), *others = by_group(runs, "curriculum").items()
     if others:
-        raise Refused("these runs have several lengths, and this figure is of one: take some")
+        raise Refused(
+            "these runs have several lengths, and this figure shows one: name the runs of one"
+        )
     figure, panels = panels_of(kinds, 2, sharey=True)
     for arm in kinds.values():
         rows += [row for run in arm for row in rows_of(group, run.kind, run, columns)]
@@ -181,14 +185,16 @@ def fig6(runs):
 
     Dotted lines are the peaks of the paper's robot (D37).
     """
-    groups, rows = by_group([run for run in runs if run.speed], "velocity"), []
+    groups, rows = by_group(runs, "velocity"), []
     figure, panels = panels_of(groups, 1, sharey=True)
     for group, (axes,) in panels:
         for kind, arm in groups[group].items():
-            time, look = arm[0].speed["time"], style(kind) | dict(marker="")
+            time, look = arm[0].speed["time"], style(kind)
             seeds = np.array([run.speed["v_x"] for run in arm])
-            axes.plot(time, seeds.T, **look | dict(linewidth=0.6, alpha=0.5))
-            axes.plot(time, seeds.mean(0), linewidth=2, label=str(kind), **look)
+            axes.plot(time, seeds.T, **look | dict(marker="", linewidth=0.6, alpha=0.5))
+            axes.plot(
+                time, seeds.mean(0), linewidth=2, markevery=6, markersize=5, label=str(kind), **look
+            )
             for run, v_x in zip(arm, seeds, strict=True):
                 about = dict(group=group, kind=kind, run=run.name)
                 rows += [about | dict(time=t, v_x=v) for t, v in zip(time, v_x, strict=True)]
@@ -212,7 +218,7 @@ def table1(runs):
     own = [*eipo("velocity"), *ppo(*LAMBDAS)]
     printed = dict(zip(own, TABLE1, strict=True))
     most = max(map(len, groups.values()))
-    figure, panels = panels_of(groups, 1, width=6.0, height=0.45 * most)
+    figure, panels = panels_of(groups, 1, width=6.0, height=0.45 * most, sharex=True)
     for group, (axes,) in panels:
         kinds = groups[group]
         for at, (kind, arm) in enumerate(kinds.items()):
@@ -258,7 +264,7 @@ def alpha(runs):
     figure, panels = panels_of(groups, 1, sharey=True)
     for group, (axes,) in panels:
         for kind, arm in groups[group].items():
-            if kind.algo == "ppo" and kind.lam > 0:
+            if kind.algo == "ppo" and kind.lam > 0 and not kind.other:
                 score = np.mean([run.numbers[score_of(group)] for run in arm])
                 power = np.mean([run.numbers["power"] for run in arm])
                 axes.axhline(1 / kind.lam, color="black", linestyle=":", linewidth=1)
@@ -274,8 +280,8 @@ def alpha(runs):
                     about = dict(group=group, kind=kind, run=run.name)
                     rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
         axes.set(xlabel="iteration", ylabel="alpha")
-        log_axis(axes)
         axes.grid(alpha=0.3)
+    log_axis(*figure.axes)
     legend_below(figure)
     return rows, figure
 
@@ -285,28 +291,33 @@ def weights(runs):
 
     Dots are runs of PPO, open ones those that do not walk, and a line joins their means. An arrow
     is a run of EIPO, from the lambda with which it starts to the one at its end. In the grey band
-    PPO scores as well as with the best weight, within the margin.
+    PPO scores as well as with the best weight, within the margin. PPO with other settings, or
+    another reward, is left out.
     """
-    groups, rows = by_group(runs), []
+    shown = [
+        run for run in runs if run.kind.algo == "eipo" or run.kind == Kind("ppo", run.kind.lam)
+    ]
+    if not shown:
+        raise Refused("none of these runs is of EIPO, or of PPO with the usual settings")
+    groups, rows = by_group(shown), []
     others = dict.fromkeys(kind.other for kinds in groups.values() for kind in kinds if kind.other)
     colors = {(): BLUE} | dict(zip(others, cycle((RED, GREEN, "#7A5195", "black")), strict=False))
     figure, panels = panels_of(groups, 2)
     for group, all_axes in panels:
-        columns = score_of(group), "power"
-        kinds = {kind: arm for kind, arm in groups[group].items() if kind.reward == "paper"}
-        for kind, arm in kinds.items():
+        score = score_of(group)
+        for kind, arm in groups[group].items():
             for run in arm:
                 row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
-                rows.append(row | {name: run.numbers[name] for name in (*columns, "v_x")})
-        for axes, column in zip(all_axes, columns, strict=True):
-            mine = [row for row in rows if row["group"] == group]
-            means = draw_weights(axes, mine, column, colors)
-            axes.set_ylabel(LABELS[column])
-            if means and column == columns[0]:
-                best = max(means)
-                axes.axhspan(best - MARGINS[column], best, color="black", alpha=0.1, linewidth=0)
-        log_axis(all_axes[1])
-        all_axes[1].set_xlabel("lambda (of EIPO from start to end)")
+                did = run.numbers
+                rows.append(row | dict(score=did[score], power=did["power"], v_x=did["v_x"]))
+        mine, (top, low) = [row for row in rows if row["group"] == group], all_axes
+        if means := draw_weights(top, mine, "score", colors):
+            best = max(means)
+            top.axhspan(best - MARGINS[score], best, color="black", alpha=0.1, linewidth=0)
+        draw_weights(low, mine, "power", colors)
+        log_axis(low)
+        top.set_ylabel(LABELS[score])
+        low.set(ylabel=LABELS["power"], xlabel="lambda (of EIPO from start to end)")
     legend_below(figure)
     return rows, figure
 
@@ -317,7 +328,7 @@ def draw_weights(axes, rows, column, colors):
     colors: {other settings of EIPO: its colour}
     """
     zero = LAMBDAS[1] / 3  # where 0 stands on an axis that is logarithmic
-    fixed = [row for row in rows if row["kind"].algo == "ppo" and not row["kind"].other]
+    fixed = [row for row in rows if row["kind"].algo == "ppo"]
     lams = sorted({row["lam"] for row in fixed})
     means = [np.mean([row[column] for row in fixed if row["lam"] == lam]) for lam in lams]
     axes.plot([lam or zero for lam in lams], means, color=BROWN, linewidth=1)

@@ -39,7 +39,7 @@ GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linsp
 
 
 class Run(NamedTuple):
-    """A run that is kept. Tables are {column: (rows,)}, and {} where it has none."""
+    """A run that is kept. Tables are {column: (rows,)}, without rows or {} where it has none."""
 
     name: str
     settings: dict  # every setting by name, and power_formula, what Eq. (9) clipped when it played
@@ -139,7 +139,7 @@ def text_of(x, indent=""):
 
 
 def columns_of(table):
-    """A table as {column: (rows,)}, in which numbers are floats."""
+    """A table as {column: (rows,)}."""
     if not table:
         return {}
     names, *rows = table
@@ -186,11 +186,11 @@ def by_group(runs, *of):
 
 
 def with_primes(kinds):
-    """Kinds of runs, as in `by_group`, and after each kind of EIPO that of its pi'."""
+    """Kinds of runs, as in `by_group`, and after each of EIPO that of its pi', if it was kept."""
     found = {}
     for kind, arm in kinds.items():
         found[kind] = arm
-        if kind.algo == "eipo":
+        if kind.algo == "eipo" and all(run.prime["fell"].size for run in arm):
             found[kind._replace(prime=True)] = [
                 run._replace(did=run.prime, nominal={}) for run in arm
             ]

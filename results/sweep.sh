@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Train one line of a table of runs, by its number from 0. A line is the name of a run, and flags of
-# train.py. The run goes to runs/NAME, and what it says to runs/NAME.log.
+# train.py. The run goes to runs/NAME, and what it says to runs/NAME.log. All lines of a table of ten:
 #
-#     sbatch --array=0-80 results/sweep.sh TABLE              on a cluster with SLURM
-#     seq 0 80 | xargs -P 2 -n 1 results/sweep.sh TABLE       on one machine, two runs at a time
+#     sbatch --array=0-9 results/sweep.sh TABLE              on a cluster with SLURM
+#     seq 0 9 | xargs -P 2 -n 1 results/sweep.sh TABLE       on one machine, two runs at a time
 #
 # A run that was killed goes on from its last checkpoint if it is started again, and one that is
 # finished ends after some seconds. A run has as many threads as SLURM gives it cores, or as CORES says.
@@ -25,10 +25,11 @@ folder=runs/$name
 mkdir -p "$folder"
 if [ -e "$folder/checkpoint.npz" ]; then
     flags="$flags --resume"
-else  # whoever was killed before the first checkpoint starts anew, unless somebody trains there
-    flock -n "$folder/lock" rm -f "$folder/config.json" "$folder/metrics.csv"
+elif [ "$(cat "$folder/metrics.csv" 2> /dev/null | wc -l)" -lt 3 ]; then
+    # a run that was killed in its first save starts anew, unless somebody trains there
+    flock -n "$folder/lock" rm -f "$folder"/{config.json,metrics.csv,policy.npz,policy_prime.npz}
 fi
-# train.py takes the place of this script, so it hears once what SLURM or somebody sends to either,
-# and saves. The second signal would end it at once
+# train.py takes the place of this script, so that a signal to either arrives once, and it saves: a
+# second one would end it at once
 # shellcheck disable=SC2086  # flags are several words
 exec "$python" train.py $flags --threads "$PJRT_NPROC" --out "$folder" >> "$folder.log" 2>&1

@@ -2,55 +2,86 @@
 
 import numpy as np
 
-from results.figures import WALKS, score_of
+from results.figures import LABELS, WALKS, score_of
 from results.paper import compare
 from results.runs import by_group, read_all, with_primes
 from runtime.cli import Refused
 from runtime.kinds import Kind
 
-HEADINGS = "score", "power", "walk", "fell", "from nominal", "energy", "less best PPO [95 %]"
-HEADINGS += "last alpha", "each seed"
-
 
 def short(places):
-    """Yields a line for each kind of run, in a table for each group of runs: what pages show."""
+    """Yields a table for each group of runs, with a line for each kind: what pages show."""
     for group, kinds in by_group(read_all(places)).items():
-        heading = "peak [m/s]" if score_of(group) == "peak" else "score"
-        yield f"| {group} | {heading} | power | fell | runs that walk |"
-        yield "|---" * 5 + "|"
-        for kind, arm in kinds.items():
-            score, power, walk = brief(group, arm)
-            yield f"| {kind} | {score} | {power} | {more(arm)[0]} | {walk} |"
+        rows = {kind: cells_of(group, kind, arm) for kind, arm in kinds.items()}
+        yield from lines_of(group, rows, num_columns=4)
         yield ""
 
 
 def table(places):
-    """Yields a line for each kind of run, and for pi' of EIPO, in a table for each group of runs.
+    """Yields the same with all columns, and with a line for pi' of each kind of EIPO.
 
     Energy is that of runs that all move ahead. "less best PPO" is the score less that of the weight
-    with the best mean, with Welch's interval.
+    with the best mean, with Welch's interval. It favours PPO, whose best is chosen by these runs.
     """
     for group, kinds in by_group(read_all(places)).items():
-        yield f"| {' | '.join((str(group), *HEADINGS))} |"
-        yield "|---" * (len(HEADINGS) + 1) + "|"
-        best, shown = best_ppo(group, kinds), set()
+        best, rows = best_ppo(group, kinds), {}
         for kind, arm in with_primes(kinds).items():
-            scores = scores_of(group, arm)
-            if (
-                kind.prime and tuple(scores) in shown
-            ):  # it knows no energy, so lambda changes nothing
-                continue
-            shown.add(tuple(scores))
-            less = compare(scores, scores_of(group, kinds[best])) if best else ""
-            cells = [*brief(group, arm), *more(arm), str(less if kind != best else "best")]
-            alphas = [
-                run.learned["alpha"][-1]
-                for run in arm
-                if (kind.algo, kind.prime) == ("eipo", False)
-            ]
-            cells += [", ".join(f"{x:.0f}" for x in alphas)]
-            yield f"| {kind} | {' | '.join(cells)} | {', '.join(f'{x:.3f}' for x in scores)} |"
+            rows[kind] = cells_of(group, kind, arm) | {"less best PPO [95 %]": ""}
+            if best:
+                less = compare(scores_of(group, arm), scores_of(group, kinds[best]))
+                rows[kind]["less best PPO [95 %]"] = "best" if kind == best else str(less)
+        yield from lines_of(group, rows)
         yield ""
+
+
+def readme(places):
+    """Yields the table of README.md: six kinds of runs on flat ground."""
+    for group, kinds in by_group(read_all(places), "flat").items():
+        best = best_ppo(group, kinds)
+        if not best:
+            continue
+        shown = {
+            "PPO(0)": Kind("ppo", 0),
+            f"PPO({best.lam:g}), best of nine weights": best,
+            "PPO(0.005), the paper's": Kind("ppo", 0.005),
+            "PPO(0.02)": Kind("ppo", 0.02),
+        }
+        for lam in (0.005, 0.02):  # with the default settings, or else those that were run
+            mine = [kind for kind in kinds if (kind.algo, kind.lam) == ("eipo", lam)]
+            shown |= {str(kind): kind for kind in sorted(mine, key=lambda x: len(x.other))[:1]}
+        shown = {name: kind for name, kind in shown.items() if kind in kinds}
+        rows = {name: cells_of(group, kind, kinds[kind]) for name, kind in shown.items()}
+        yield from lines_of("", rows, num_columns=3)
+        return
+    raise Refused("none of these runs is of PPO on flat ground")
+
+
+def lines_of(heading, rows, num_columns=None):
+    """Yields a table; rows: {what it is of: {column: text}}; num_columns: if not all."""
+    columns = list(next(iter(rows.values())))[:num_columns]
+    yield f"| {' | '.join((str(heading), *columns))} |"
+    yield "|---" * (len(columns) + 1) + "|"
+    for name, cells in rows.items():
+        yield f"| {' | '.join((str(name), *(cells[x] for x in columns)))} |"
+
+
+def cells_of(group, kind, arm):
+    """What the runs of a kind did, as {column: text}."""
+    did = [run.numbers for run in arm]
+    scores, starts = scores_of(group, arm), [run.nominal["fell"] for run in arm if run.nominal]
+    energy = np.mean([x["J/m"] for x in did])
+    has_alpha = kind.algo == "eipo" and not kind.prime
+    alphas = [run.learned["alpha"][-1] for run in arm] if has_alpha else []
+    return {
+        LABELS[score_of(group)]: f"{scores.mean():.2f}",
+        "power": f"{np.mean([x['power'] for x in did]):.0f} W",
+        "runs that walk": f"{sum(x['v_x'] > WALKS for x in did)} of {len(arm)}",
+        "fell": f"{100 * np.mean([x['fell'] for x in did]):.1f} %",
+        "fell from nominal": f"{100 * np.mean(starts):.1f} %" if starts else "",
+        "energy": f"{energy:.0f} J/m" if np.isfinite(energy) else "a run stands",
+        "last alpha": ", ".join(f"{x:.0f}" for x in alphas),
+        "each seed": ", ".join(f"{x:.3f}" for x in scores),
+    }
 
 
 def scores_of(group, arm):
@@ -62,45 +93,3 @@ def best_ppo(group, kinds):
     """The kind of PPO whose mean score is the best, or None; of the paper's reward and settings."""
     plain = [kind for kind in kinds if kind == Kind("ppo", kind.lam)]
     return max(plain, key=lambda kind: scores_of(group, kinds[kind]).mean(), default=None)
-
-
-def brief(group, arm):
-    """Score, power, and how many runs walk, as text."""
-    mine = [run.numbers for run in arm]
-    walk = sum(x["v_x"] > WALKS for x in mine)
-    power = np.mean([x["power"] for x in mine])
-    return [f"{scores_of(group, arm).mean():.2f}", f"{power:.0f} W", f"{walk} of {len(arm)}"]
-
-
-def more(arm):
-    """Falls from both kinds of start, and energy per metre, as text."""
-    fell = [100 * np.mean([run.numbers["fell"] for run in arm])]
-    starts = [run.nominal["fell"] for run in arm if run.nominal]
-    fell += [100 * np.mean(starts)] if starts else []
-    energy = np.mean([run.numbers["J/m"] for run in arm])
-    shown = f"{energy:.0f} J/m" if np.isfinite(energy) else "a run stands"
-    return [*(f"{x:.1f} %" for x in fell), *[""] * (2 - len(fell)), shown]
-
-
-def readme(places):
-    """Yields the table of README.md: six kinds of runs on flat ground."""
-    for group, kinds in by_group(read_all(places), "flat").items():
-        best = best_ppo(group, kinds)
-        if not best:
-            continue
-        yield "| | score | power | runs that walk |"
-        yield "|---|---|---|---|"
-        shown = {
-            "PPO(0)": Kind("ppo", 0),
-            f"PPO({best.lam:g}), best of nine weights": best,
-            "PPO(0.005), the paper's": Kind("ppo", 0.005),
-            "PPO(0.02)": Kind("ppo", 0.02),
-        }
-        for lam in (0.005, 0.02):  # with the default settings, or else those that were run
-            some = [kind for kind in kinds if (kind.algo, kind.lam) == ("eipo", lam)]
-            shown |= {str(kind): kind for kind in sorted(some, key=lambda x: len(x.other))[:1]}
-        for name, kind in shown.items():
-            if kind in kinds:
-                yield f"| {name} | {' | '.join(brief(group, kinds[kind]))} |"
-        return
-    raise Refused("these runs have none of PPO on flat ground")

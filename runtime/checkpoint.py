@@ -1,7 +1,7 @@
 """checkpoint.npz: all that the next iteration depends on, and the settings to go on with."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +43,8 @@ def load_settings(path):
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg = run_folder.read_config(kept["env"])
+        if other := {f.name for f in fields(eipo.Config)} ^ kept["learner"].keys():
+            raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
         cfg = eipo.Config(**tuples(kept["learner"]))
         robot.refuse_other_digest(path, kept["robot"])
         return env_cfg, cfg, kept["jax"]

@@ -45,12 +45,14 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
 
 
-def say(line, stream=None, end="\n"):
+def say(line, is_error=False, end="\n"):
     """Print a line. If its reader has gone, print nothing from now on, and let the run go on.
 
-    On a full disk the line comes with a later one. stream: None is standard output.
+    On a full disk the line comes with a later one.
     """
-    stream = stream or sys.stdout
+    stream = sys.stderr if is_error else sys.stdout
+    if not stream:  # it was closed before Python began, and print would take another one
+        return
     try:
         print(line, file=stream, end=end, flush=True)
     except OSError as error:
@@ -65,7 +67,7 @@ def silence(stream):
 
 def warn(line):
     """Say a line of `train.py` on standard error."""
-    say(f"train.py: {line}", sys.stderr)
+    say(f"train.py: {line}", is_error=True)
 
 
 def misfit(values, limits):
@@ -122,8 +124,8 @@ def open_descriptors():
 
 
 def program(name):
-    """Let a main(argv) return 2 after a line on stderr if it is refused, 130 after Ctrl-C, and 1 if
-    what reads its output has closed the pipe, as `head` does.
+    """Let a main(argv) return its status, usually 2, after a line on stderr if it is refused, 130
+    after Ctrl-C, and 1 if what reads its output has closed the pipe, as `head` does.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its
     traceback.
@@ -149,7 +151,7 @@ def program(name):
             except Exception as error:
                 if (line := complaint(error)) is None:
                     raise
-                say(f"{name}: {line}", sys.stderr)
+                say(f"{name}: {line}", is_error=True)
                 return getattr(error, "status", 2)
 
         return guarded
@@ -158,7 +160,8 @@ def program(name):
 
 
 class StopRequest:
-    """From now on the first signal makes `requested` True, and the second one ends the process.
+    """From now on the first signal makes `requested` True, and a second Ctrl-C or SIGTERM ends the
+    process.
 
     Made after the first iteration: before that nothing is worth saving, and JAX compiles in C++,
     where a handler in Python would have to wait.

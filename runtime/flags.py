@@ -32,9 +32,9 @@ class Options:
 GROUPS = {"how to run": Options, "the world": tasks.Config, "the learner": eipo.Config}
 FACTOR = {"at least": 1e-9, "at most": 10**9}  # products of a few still fit into float32
 # What a number of each type may be, also both ends of a range: as much as can be simulated or
-# learned from. 0 turns something off: the clock, noise, the adaption of lr, a weight, alpha's steps
+# learned from. 0 turns something off: the clock, noise, adaptation of lr, a weight, alpha's steps
 LIMITS_OF = {int: COUNT, float: FACTOR | {"at least": 0}}
-# with 0 nothing would be learned; elsewhere a clip_alpha of 0 means that nothing is clipped
+# with 0 nothing would be learned
 NOT_0 = "action_limit", "clip_eps", "max_grad_norm", "reward_scale", "clip_alpha"
 LIMITS = dict.fromkeys(NOT_0, FACTOR) | dict(  # of all that have limits of their own
     threads={"at least": 1, "at most": 1024},

@@ -1,8 +1,10 @@
 """What JAX computes with, and on what the last digits of a run depend."""
 
 import os
+import platform
 import re
 from importlib.metadata import version
+from pathlib import Path
 
 import jax
 
@@ -49,16 +51,25 @@ def configuration():
 
 
 def numerics():
-    """What the last digits of a run depend on: {name: text}.
+    """What the last digits of a run depend on, for config.json: {name: text}.
 
-    JAX does not say which settings are its defaults. These are two, and what the environment sets.
+    Of JAX's settings these are two, and those that the environment sets: JAX does not say which
+    are its defaults. A checkpoint keeps all of them.
     """
     names = "jax_enable_x64", "jax_default_matmul_precision"
     settings = configuration()
     settings = {x: settings[x] for x in settings if x in names or x.upper() in os.environ}
-    settings |= {package: version(package) for package in ("jax", "mujoco", "numpy")}
+    settings |= {x: version(x) for x in ("jax", "jaxlib", "mujoco", "numpy", "optax", "scipy")}
     flags = " ".join(x for x in os.environ.get("XLA_FLAGS", "").split() if os.sep not in x)
-    return settings | dict(device=device(), threads=os.environ.get(THREADS), xla_flags=flags)
+    settings |= dict(cpu=cpu_model(), device=device(), threads=os.environ.get(THREADS))
+    return settings | dict(xla_flags=flags)
+
+
+def cpu_model():
+    """The name of this machine's processor, as the system gives it."""
+    linux = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*: (.*)", linux.read_text()) if linux.exists() else []
+    return names[0] if names else platform.processor()
 
 
 def device():

@@ -15,13 +15,11 @@ file of its own, `checkpoint.py`, because it takes JAX.
 import json
 import os
 import platform
-import re
 import shlex
 import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import asdict, fields
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +29,7 @@ import go1_env
 import policy
 import tasks
 from runtime import robot
-from runtime.cli import Refused, say, tuples
+from runtime.cli import Refused, tuples, warn
 
 try:
     import fcntl
@@ -71,7 +69,7 @@ def replace_file(path, write):
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    finally:  # a disk that is full shall not also keep what is half written
+    finally:  # a disk that is full should not also keep a half-written file
         temporary.unlink(missing_ok=True)
 
 
@@ -86,8 +84,7 @@ def lock(folder):
         except BlockingIOError:
             raise Refused(f"{folder} is being trained by another process: stop it") from None
         except OSError as error:  # a file system of a network may have no locks
-            line = f"warning: {folder} cannot be locked ({error}): let nothing else write there"
-            say(line, sys.stderr)
+            warn(f"{folder} cannot be locked ({error}): let nothing else write there")
         yield
 
 
@@ -115,13 +112,6 @@ def commit():
         return "unknown"
 
 
-def cpu_model():
-    """The name of this machine's processor, as the system gives it."""
-    linux = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*: (.*)", linux.read_text()) if linux.exists() else []
-    return names[0] if names else platform.processor()
-
-
 def starts(folder):
     """The entries in the config.json of a run folder, one for each start."""
     with reading(path := folder / "config.json"):
@@ -134,9 +124,8 @@ def record(env_cfg, cfg, command, numerics, earlier=()):
     command: its words; numerics: of `jax_setup`; earlier: entries of earlier starts
     """
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
-    versions = {package: version(package) for package in ("jax", "optax", "mujoco", "numpy")}
-    about = dict(command=shlex.join(command), commit=commit(), machine=machine, versions=versions)
-    about |= dict(cpu=cpu_model(), cores=go1_env.CORES, device=numerics["device"], jax=numerics)
+    about = dict(command=shlex.join(command), commit=commit(), machine=machine)
+    about |= dict(cores=go1_env.CORES, jax=numerics)
     return dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, about])
 
 
@@ -146,10 +135,12 @@ def save_config(folder, about):
     replace_file(folder / "config.json", lambda file: file.write(text.encode()))
 
 
-def script(name):
-    """The path of a script of this project, as a user in this folder would type it."""
-    path = Path(__file__).parents[1] / name
-    return name if path.parent == Path.cwd() else str(path)
+def command(script, *words):
+    """A command line of a script of this project, as a user in this folder would type it."""
+    paths = Path(sys.executable), Path(__file__).parents[1] / script
+    here = Path.cwd()
+    paths = [path.relative_to(here) if path.is_relative_to(here) else path for path in paths]
+    return shlex.join([*map(str, paths), *words])
 
 
 # ---- policy.npz ----

@@ -23,7 +23,7 @@ def begin(options, given_env, given_learner):
 
 
 def started(folder, options, env_cfg, cfg):
-    """Both Configs of a new run, after all checks; JAX has one thread for each core."""
+    """Both Configs of a new run, after all checks, with JAX set up."""
     refuse_used(folder)
     check(options, env_cfg, cfg)
     jax_setup.set_threads(None)

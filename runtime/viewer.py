@@ -92,7 +92,7 @@ def paced(steps, period):
 
 
 def has_display():
-    """Whether a window can be opened, which the viewer's own library tries and gives back."""
+    """Whether a window can be opened, tried with the viewer's own library."""
     with warnings.catch_warnings(action="ignore"):  # what it says, our line says better
         works = glfw.init()
     glfw.terminate()

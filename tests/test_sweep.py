@@ -64,17 +64,18 @@ def test_a_line_of_a_table_is_what_is_trained(checkout):
     table = checkout / "table"
     assert said(script, table, 1) == f"1 {flags} --threads 1 {out}"
     assert said(script, table, 1, CORES="3") == f"3 {flags} --threads 3 {out}"
-    # killed before its first checkpoint: it starts anew
-    for name in ("config.json", "metrics.csv"):
+    # killed in its first save: it starts anew
+    for name in ("config.json", "metrics.csv", "policy.npz", "policy_prime.npz"):
         (folder / name).touch()
     array = dict(SLURM_ARRAY_TASK_ID="1", SLURM_CPUS_PER_TASK="2")
     array |= dict(SLURM_SUBMIT_DIR=str(checkout))
     assert said("bash", slurm, table, CORES="3", **array) == f"2 {flags} --threads 2 {out}"
     assert {path.name for path in folder.iterdir()} == {"lock"}
+    (folder / "metrics.csv").write_text("iteration\n1\n2\n")
+    said(script, table, 1)  # somebody has deleted its checkpoint, and train.py refuses
+    assert (folder / "metrics.csv").exists()
     (folder / "checkpoint.npz").touch()
-    (folder / "config.json").touch()
     assert said(script, table, 1) == f"1 {flags} --resume --threads 1 {out}"
-    assert (folder / "config.json").exists()
     with pytest.raises(subprocess.CalledProcessError):
         said(script, table, 4)
 

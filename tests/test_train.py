@@ -108,7 +108,7 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     shown = [line.split()[0] for line in done.stdout.splitlines() if line]
     assert shown == [r"\u8bad\u7ec3:", "1/2", "2/2", "Done:"]
-    assert f"Look: python {ROOT / 'play.py'} " in done.stdout  # which works from that folder, too
+    assert f"Look: {sys.executable} {ROOT / 'play.py'} " in done.stdout  # which works from there
     folder = tmp_path / "训练"
     names = "config.json metrics.csv checkpoint.npz policy.npz policy_prime.npz curves.png lock"
     assert set(contents(folder)) == set(names.split())
@@ -119,8 +119,8 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     assert record["env"]["history"] == 2
     (start,) = record["starts"]
     assert start["command"] == shlex.join(["python", "train.py", *map(str, command[2:])])
-    assert start["versions"]["mujoco"] and start["cores"] >= 1 and start["cpu"]
-    assert start["device"] == "cpu"  # the tests ask JAX for nothing else
+    assert start["jax"]["mujoco"] and start["cores"] >= 1 and start["jax"]["cpu"]
+    assert start["jax"]["device"] == "cpu"  # the tests ask JAX for nothing else
 
 
 def test_each_policy_is_saved_under_its_own_name_and_mirrored(finished, tmp_path):
@@ -251,7 +251,7 @@ def test_ctrl_c_saves_and_its_last_line_says_how_to_go_on(finished, tmp_path):
     saved, last = len(rows(tmp_path)) - 1, said.splitlines()[-1]
     assert 5 <= saved < 20 and f"iteration {saved}." in last
     command = shlex.split(last.split("Continue with: ")[1])
-    assert command[0] == "python" and (ROOT / command[1]).samefile(train.__file__)
+    assert shutil.which(command[0]) and (ROOT / command[1]).samefile(train.__file__)
     assert train.main(command[2:]) == 0
     assert rows(tmp_path) == rows(finished)
 
@@ -387,7 +387,7 @@ def test_a_log_is_kept_by_iteration_up_to_the_checkpoint(tmp_path):
     assert metrics.rows_until(0, path) == []
 
 
-def test_a_full_disk_under_the_console_does_not_silence_it():
+def test_a_full_disk_under_the_console_does_not_silence_it(monkeypatch):
     class Disk(io.StringIO):
         full = True
 
@@ -397,9 +397,10 @@ def test_a_full_disk_under_the_console_does_not_silence_it():
             return super().write(text)
 
     disk = Disk()
-    cli.say("lost", disk)
+    monkeypatch.setattr(sys, "stdout", disk)
+    cli.say("lost")
     disk.full = False
-    cli.say("kept", disk)
+    cli.say("kept")
     assert disk.getvalue() == "kept\n"
 
 
@@ -525,7 +526,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(copied, capsys):
         again = "--out", copied, "--resume", "--iterations", 22
         assert train.main([str(x) for x in again]) == 1
     tried, lost = capsys.readouterr().err.splitlines()
-    assert "too large" in tried and "tries again" in tried and "learned last is lost" in lost
+    assert "too large" in tried and "tries again" in tried and "checkpoint is lost" in lost
     assert (copied / "checkpoint.npz").read_bytes() == before
     assert not [name for name in contents(copied) if name.endswith(".tmp")]
     resume(copied, "--iterations", 22)
