@@ -6,6 +6,7 @@ import signal
 import subprocess
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import jax
 import mujoco
@@ -81,6 +82,9 @@ def learner_of(params, cost_scale=1.0):
 NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5])
 LEGS = ("FR", "FL", "RR", "RL")
 UPRIGHT, ON_ITS_BACK, ON_ITS_SIDE = (1, 0, 0, 0), (0, 1, 0, 0), (0.5**0.5, 0.5**0.5, 0, 0)
+# nose up by 60 degrees, at 1 m/s ahead and 1 rad/s over ground; in the trunk's frame the latter is
+# (sin 60, 0, cos 60)
+NOSE_UP = dict(quaternion=(0.75**0.5, 0, -0.5, 0), velocity=(1, 0, 0), rates=(0.75**0.5, 0, 0.5))
 # a physics step of a nanosecond, in which no state that a test writes can move
 FROZEN = dict(timestep=1e-9)
 
@@ -230,6 +234,13 @@ def make_run(folder, task="flat", **learner):
     run_folder.save_config(folder, run_folder.record(env_cfg, cfg, [], dict(device="cpu")))
     run_folder.save_policy(folder / "policy.npz", pi.params, env_cfg)
     return folder
+
+
+def rewrite(file, about=(), **world):
+    """Let a policy file of a run folder say what it is of, in a world with other settings."""
+    pi, env_cfg = run_folder.load_policy(file)
+    params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
+    run_folder.save_policy(file, params, replace(env_cfg, **world), about)
 
 
 def error_of(capsys, main, *argv):

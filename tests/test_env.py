@@ -41,6 +41,7 @@ NOISE = np.array([*[0.05] * 3, *[0] * 3, *[0.01] * 12, *[1.5] * 12, *[0] * 14])
 ACTION = slice(30, 42)  # the previous action within a frame of 44
 
 
+@pytest.mark.go1
 def test_observation():
     """IV-C.a. A state by hand, all of whose numbers differ, comes out in this order and scale.
 
@@ -127,6 +128,7 @@ def test_reward_of_a_task(task, command, velocity, expected):
     assert env.observe()[1] == pytest.approx(np.array([[v_x, v_y, 0.0]] * 2), abs=1e-6)
 
 
+@pytest.mark.go1
 def test_batch_equals_a_plain_mujoco_loop():
     """The batch is no other simulator: one MjModel per robot, with its friction and mass, and PD by
     hand before each mj_step, give the same bits. These have the geoms that are only drawn, and the
@@ -207,21 +209,17 @@ def test_final_obs_at_a_time_limit():
     assert (frames(obs) == frames(obs)[:, :1]).all() and not frames(obs)[:, :, ACTION].any()
 
 
-def test_first_episodes_start_at_every_age():
-    """Of 256 robots none has one of 8 ages with a chance of 8 (7/8)^256 = 1e-14."""
-    env = make(256, stagger=True, episode_steps=8)
-    assert set(env.state.age.tolist()) == set(range(8))
-
-
 def test_first_episodes_are_staggered():
-    """16 robots end their first episodes of 8 steps at several times, each once, not in a wave.
+    """Robots end their first episodes of 8 steps at all times, each once, not in a wave. Of 256
+    none starts at one of 8 ages with a chance of 8 (7/8)^256 = 1e-14.
 
     The first observation shows the age of an episode: not all clocks stand at 0.
     """
-    env = make(16, stagger=True, episode_steps=8)
+    env = make(256, stagger=True, episode_steps=8)
+    assert set(env.state.age.tolist()) == set(range(8))
     assert len(np.unique(env.reset(0)[0][:, -1])) >= 4
     ends = np.array([still(env)[3] for _ in range(8)])
-    assert ends.sum(0).tolist() == [1] * 16 and (ends.sum(1) > 0).sum() >= 4
+    assert (ends.sum(0) == 1).all() and ends.any(1).all()
 
 
 def test_return_and_length_of_the_episodes_that_end():

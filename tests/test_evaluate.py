@@ -1,15 +1,12 @@
 """evaluate.py: the line that it prints for a run folder."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import error_of, make_run
+from support import error_of, make_run, rewrite
 
 import evaluate
-from networks import MLP
-from runtime import run_folder
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +53,7 @@ def test_all_runs_are_measured_by_one_formula_of_power(asked, tmp_path, capsys):
     folders of one name are told apart by the way to them.
     """
     torque, power = (make_run(tmp_path / name) for name in "ab")
-    pi, env_cfg = run_folder.load_policy(torque / "policy.npz")
-    params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
-    run_folder.save_policy(torque / "policy.npz", params, replace(env_cfg, clip="torque"))
+    rewrite(torque / "policy.npz", clip="torque")
     for flags, clip in (([], "power"), (["--clip", "torque"], "torque")):
         runs = [str(folder) for folder in (torque, power)]
         assert evaluate.main([*runs, "--episodes", "11", *flags]) == 0

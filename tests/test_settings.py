@@ -208,7 +208,7 @@ def test_help_says_each_default(capsys):
         train.main(["-h"])
     text = " ".join(capsys.readouterr().out.split())
     assert "(default: 256, velocity 128)" in text
-    assert "(default: 5, flat 5, rough 10, velocity 10, curriculum 5)" in text
+    assert "(default: 5, flat 5, rough 10, velocity 10, curriculum 5" in text
 
 
 # ---- a task of one's own ----

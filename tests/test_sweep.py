@@ -12,6 +12,7 @@ from support import ROOT, SECONDS, TINY, heard, started
 
 from results.__main__ import main
 from runtime import metrics, run_folder
+from runtime.flags import parse
 
 FLAGS = " ".join([*TINY, "--task flat --iterations 40 --checkpoint-every 10"])
 NAMES = "flat-eipo-lam0.005-seed1", "flat-ppo-lam0-seed1", "flat-ppo-lam0.02-seed1"
@@ -63,6 +64,7 @@ def test_a_line_of_a_table_is_what_is_trained(checkout):
     out = f"--out runs/{NAMES[1]}"
     table = checkout / "table"
     assert said(script, table, 1) == f"1 {flags} --threads 1 {out}"
+    parse(said(script, table, 1).split()[2:])  # train.py takes it
     assert said(script, table, 1, CORES="3") == f"3 {flags} --threads 3 {out}"
     # killed in its first save: it starts anew
     for name in ("config.json", "metrics.csv", "policy.npz", "policy_prime.npz"):

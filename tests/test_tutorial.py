@@ -209,7 +209,8 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     trained += ["--out", "run"]
     evaluated = [sys.executable, "evaluate.py", "run", "--episodes", "11"]
     kept = [sys.executable, "-m", "results", "add", "run", "--results", "kept", "--episodes", "11"]
-    for command in (tested, trained, evaluated, kept):
+    shown = [sys.executable, "-m", "results", "table", "kept/turn"]
+    for command in (tested, trained, evaluated, kept, shown):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
     kept = json.loads((copy / "kept/turn/run.json").read_text())

@@ -2,18 +2,15 @@
 
 import signal
 import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
-from support import ROOT, error_of, heard, make_run
+from support import ROOT, SECONDS, error_of, make_run, started
 
 import play
-
-SECONDS = 90  # in which the page must have been there; on an idle core it takes 5
 
 
 def answers(port):
@@ -25,7 +22,7 @@ def answers(port):
 
 
 @pytest.mark.go1
-def test_only_this_machine_may_look(tmp_path):
+def test_only_this_machine_may_look():
     """`play.py --web` serves the shipped policy on a free port of this machine and on no other
     address. Ctrl-C ends it.
     """
@@ -33,9 +30,7 @@ def test_only_this_machine_may_look(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     argv = ["play.py", "results/flat", "--web", "--port", str(port), "--command", "0.6", "0", "0"]
-    with open(tmp_path / "said", "w") as said, heard():
-        process = subprocess.Popen([sys.executable, *argv], cwd=ROOT, stdout=said, stderr=said)
-    try:
+    with started([sys.executable, *argv], cwd=ROOT) as process:
         late = time.monotonic() + SECONDS
         while not answers(port):
             assert time.monotonic() < late
@@ -44,10 +39,7 @@ def test_only_this_machine_may_look(tmp_path):
         listening = [line.split()[1] for line in table.splitlines() if f":{port:04X} " in line]
         assert {address.split(":")[0] for address in listening} == {"0100007F"}
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
-    finally:
-        process.kill()
-        process.wait()
+        assert process.wait() == 130
 
 
 def test_a_taken_port_is_one_line(tmp_path, capsys):

@@ -7,7 +7,7 @@ sigma = 1/4, so that an error of 1/2 costs a factor exp(-(1/2)^2 / (1/4)) = 1/e.
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support import FROZEN, make, place, still
+from support import FROZEN, NOSE_UP, make, place, still
 
 import go1
 import rewards
@@ -148,9 +148,7 @@ def test_a_pitched_robot_is_rewarded_for_what_it_covers(frame, value):
     speed over ground in either case.
     """
     env = make(1, velocity_frame=frame, **FROZEN)
-    nose_up = Rotation.from_euler("Y", -60, degrees=True)
-    rates = nose_up.apply([0.0, 0.0, 1.0], inverse=True)
-    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0), rates=rates)
+    place(env, **NOSE_UP)
     env.state.command[:] = 1.0, 0.0, 1.0
     _, reward, _, _, info = still(env)
     assert reward == pytest.approx([value], abs=1e-4)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from support import place, quiet, still
+from support import NOSE_UP, place, quiet, still
 
 from tasks import Grid
 
@@ -77,9 +76,7 @@ def test_success_is_in_the_frame_that_is_rewarded(frame, kernel):
     """
     env, seen = quiet(1, velocity_frame=frame, command_steps=1), []
     env.commands.record = lambda command, kernels: seen.append(kernels[0])
-    nose_up = Rotation.from_euler("Y", -60, degrees=True)
-    rates = nose_up.apply([0.0, 0.0, 1.0], inverse=True)
-    place(env, quaternion=nose_up.as_quat(scalar_first=True), velocity=(1, 0, 0), rates=rates)
+    place(env, **NOSE_UP)
     env.state.command[:] = 1.0, 0.0, 1.0
     still(env)
     assert seen == [pytest.approx([kernel, kernel], abs=1e-4)]

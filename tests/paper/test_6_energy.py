@@ -66,6 +66,7 @@ def test_eq09_survival_bonus(clip, cost):
     assert (energy.total_power(*idle), energy.energy_cost(*idle)) == (42.0, -158.0)
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
 def test_eq09_cost_of_a_step(clip, expected):
     """A hip on target at 8 rad/s has tau = -0.5 * 8 = -4:

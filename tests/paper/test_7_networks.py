@@ -537,7 +537,7 @@ def test_algorithm1_line09_lr_follows_the_mean_kl_of_the_minibatches():
     KL of both     (0.0501 + 0) / 2                  = 0.0251
     lr stays       between 1/2 and 2 times the target of 1/64, 0.0078 and 0.0313
 
-    By the greatest KL lr would be 2e-5, by the least or the last 4.5e-5. With lr = 3e-5 the policy
+    By the greatest or the last KL lr would be 2e-5, by the least 4.5e-5. With lr = 3e-5 the policy
     hardly moves.
     """
     likelier = np.ones((8, 16), np.float32)

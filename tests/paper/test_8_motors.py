@@ -10,6 +10,7 @@ import go1
 TOP_SPEED = np.array([30.1, 30.1, 20.06] * 4)  # rad/s, URDF: hip, thigh, calf
 
 
+@pytest.mark.go1
 @pytest.mark.parametrize(
     ("target", "q", "qd", "torque"),
     [(0.5, 0.25, 0.0, 5.0), (0.0, 0.0, 2.0, -1.0), (0.5, 0.25, 2.0, 4.0), (-1.0, 0.5, -4.0, -28.0)],
@@ -25,6 +26,7 @@ def test_pd(target, q, qd, torque):
     assert go1.pd_torque(*np.full((3, 12), [[target], [q], [qd]])).tolist() == [torque] * 12
 
 
+@pytest.mark.go1
 def test_motor_model():
     """D11. 20 N m per rad of error, and 0.7 N m per rad/s of speed: 20 * 0.5 - 0.7 * 10 = 3."""
     torque = go1.motor_model(np.full(12, 0.5), np.zeros(12), np.full(12, 10.0))
