@@ -16,7 +16,6 @@ import evaluate
 from results.paper import MARGINS, TABLE1, eipo, ppo
 from results.runs import by_group, inside
 from runtime.cli import Refused
-from runtime.kinds import Kind
 from tasks import LAMBDAS
 
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
@@ -294,12 +293,11 @@ def weights(runs):
     PPO scores as well as with the best weight, within the margin. PPO with other settings, or
     another reward, is left out.
     """
-    shown = [
-        run for run in runs if run.kind.algo == "eipo" or run.kind == Kind("ppo", run.kind.lam)
-    ]
-    if not shown:
+    runs = [run for run in runs if run.kind.reward == "paper"]
+    runs = [run for run in runs if run.kind.algo == "eipo" or not run.kind.other]
+    if not runs:
         raise Refused("none of these runs is of EIPO, or of PPO with the usual settings")
-    groups, rows = by_group(shown), []
+    groups, rows = by_group(runs), []
     others = dict.fromkeys(kind.other for kinds in groups.values() for kind in kinds if kind.other)
     colors = {(): BLUE} | dict(zip(others, cycle((RED, GREEN, "#7A5195", "black")), strict=False))
     figure, panels = panels_of(groups, 2)
