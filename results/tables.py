@@ -74,11 +74,11 @@ def cells_of(group, kind, arm):
     alphas = [run.learned["alpha"][-1] for run in arm] if has_alpha else []
     return {
         LABELS[score_of(group)]: f"{scores.mean():.2f}",
-        "power": f"{np.mean([x['power'] for x in did]):.0f} W",
-        "runs that walk": f"{sum(x['v_x'] > WALKS for x in did)} of {len(arm)}",
-        "fell": f"{100 * np.mean([x['fell'] for x in did]):.1f} %",
-        "fell from nominal": f"{100 * np.mean(starts):.1f} %" if starts else "",
-        "energy": f"{energy:.0f} J/m" if np.isfinite(energy) else "a run stands",
+        "power [W]": f"{np.mean([x['power'] for x in did]):.0f}",
+        "runs that walk": f"{sum(x['v_x'] > WALKS for x in did)}/{len(arm)}",
+        "fell [%]": f"{100 * np.mean([x['fell'] for x in did]):.1f}",
+        "from nominal": f"{100 * np.mean(starts):.1f}" if starts else "",
+        "energy [J/m]": f"{energy:.0f}" if np.isfinite(energy) else "a run stands",
         "last alpha": ", ".join(f"{x:.0f}" for x in alphas),
         "each seed": ", ".join(f"{x:.3f}" for x in scores),
     }

@@ -310,13 +310,14 @@ def test_a_line_for_each_kind(of):
     prime = "pi' of EIPO from 0.005"
     assert list(rows) == ["EIPO from 0.005", prime, "PPO(0) shaped", "PPO(0.001)", "PPO(0.02)"]
     line = rows["EIPO from 0.005"]
-    assert (line["score"], line["power"], line["runs that walk"]) == ("1.40", "100 W", "3 of 3")
-    assert line["energy"] == "200 J/m" and line["each seed"] == "1.300, 1.400, 1.500"
+    assert (line["score"], line["power [W]"], line["runs that walk"]) == ("1.40", "100", "3/3")
+    assert line["energy [J/m]"] == "200" and line["each seed"] == "1.300, 1.400, 1.500"
     assert line["last alpha"] == "250, 250, 250"
     assert line["less best PPO [95 %]"] == "-0.100 [-0.327, +0.127]"
     assert rows["PPO(0.001)"]["less best PPO [95 %]"] == "best"
     assert (
-        rows["PPO(0.02)"]["runs that walk"] == "0 of 1" and "stands" in rows["PPO(0.02)"]["energy"]
+        rows["PPO(0.02)"]["runs that walk"] == "0/1"
+        and "stands" in rows["PPO(0.02)"]["energy [J/m]"]
     )
 
 
@@ -327,7 +328,7 @@ def test_the_table_of_the_readme(of):
         "PPO(0.002), best of nine weights",
         "EIPO from 0.02",
     ]
-    assert "| PPO(0) | 1.25 | 400 W | 1 of 1 |" in tables.readme(())
+    assert "| PPO(0) | 1.25 | 400 | 1/1 |" in tables.readme(())
 
 
 # ---- figures ----
