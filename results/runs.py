@@ -355,6 +355,7 @@ def by_command(about, e):
     interquartile mean.
     """
     commands, which = np.unique(np.stack([e[x] for x in ASKED], 1), axis=0, return_inverse=True)
+    which = which.ravel()  # NumPy 2.0.0 has one axis more
     each = [where(which == i, e) for i in range(len(commands))]
     columns = {name: [x] * len(commands) for name, x in about.items()}
     columns |= dict(zip(ASKED, commands.T, strict=True))
