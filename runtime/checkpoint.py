@@ -1,7 +1,7 @@
 """checkpoint.npz: all that the next iteration depends on, and the settings to go on with."""
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,6 @@ import numpy as np
 
 import eipo
 from runtime import jax_setup, robot, run_folder
-from runtime.cli import tuples
 
 
 def saved(env):
@@ -43,9 +42,7 @@ def load_settings(path):
     with run_folder.reading(path):
         kept = json.loads(str(arrays["settings"]))
         env_cfg = run_folder.read_config(kept["env"])
-        if other := {f.name for f in fields(eipo.Config)} ^ kept["learner"].keys():
-            raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
-        cfg = eipo.Config(**tuples(kept["learner"]))
+        cfg = run_folder.config_of(eipo.Config, kept["learner"])
         robot.refuse_other_digest(path, kept["robot"])
         return env_cfg, cfg, kept["jax"]
 

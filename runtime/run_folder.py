@@ -168,11 +168,17 @@ def read_config(settings):
 
     Raises ValueError if its fields are not those of tasks.Config, or if there is no such task.
     """
-    if other := {f.name for f in fields(tasks.Config)} ^ settings.keys():
+    env_cfg = config_of(tasks.Config, settings)
+    if env_cfg.task not in tasks.TASKS:
+        raise ValueError(f"there is no task {env_cfg.task}")
+    return env_cfg
+
+
+def config_of(kind, settings):
+    """A Config of this kind with settings from JSON: ValueError unless they are just its fields."""
+    if other := {f.name for f in fields(kind)} ^ settings.keys():
         raise ValueError(f"its settings and ours differ in {', '.join(sorted(other))}")
-    if settings["task"] not in tasks.TASKS:
-        raise ValueError(f"there is no task {settings['task']}")
-    return tasks.Config(**tuples(settings))
+    return kind(**tuples(settings))
 
 
 def load_policy(path):

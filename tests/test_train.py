@@ -387,6 +387,13 @@ def test_a_log_is_kept_by_iteration_up_to_the_checkpoint(tmp_path):
     assert metrics.rows_until(0, path) == []
 
 
+def test_a_complaint_never_goes_to_standard_output(capsys, monkeypatch):
+    """`2>&-` leaves Python without a sys.stderr; what is piped on stays clean."""
+    monkeypatch.setattr(sys, "stderr", None)
+    cli.warn("lost")
+    assert capsys.readouterr().out == ""
+
+
 def test_a_full_disk_under_the_console_does_not_silence_it(monkeypatch):
     class Disk(io.StringIO):
         full = True
@@ -481,10 +488,19 @@ def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
     assert run_folder.commit() == "unknown"
 
 
+def without_a_setting(path):
+    """As an older checkpoint may be: today's default would go on with another learner."""
+    arrays = run_folder.read_npz(path)
+    settings = json.loads(str(arrays["settings"]))
+    del settings["learner"]["target_kl"]
+    np.savez(path, **arrays | dict(settings=np.array(json.dumps(settings))))
+
+
 @pytest.mark.parametrize(
     ("file", "damage", "says"),
     [
         ("checkpoint.npz", lambda path: path.unlink(), "does not exist"),
+        ("checkpoint.npz", without_a_setting, "settings and ours differ in target_kl"),
         ("checkpoint.npz", lambda path: path.write_bytes(path.read_bytes()[:-500]), "is damaged"),
         ("config.json", lambda path: path.unlink(), "does not exist"),
         (
@@ -493,7 +509,7 @@ def test_the_commit_is_that_of_this_source(tmp_path, monkeypatch):
             "has other columns",
         ),
     ],
-    ids=["missing", "truncated", "without its record", "other columns"],
+    ids=["missing", "of an older learner", "truncated", "without its record", "other columns"],
 )
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(copied, capsys, file, damage, says):
     damage(copied / file)
