@@ -14,10 +14,10 @@ in the order of the lines, and `ppo.py` has the update of lines 9 and 11.
 
 An environment has `reset(seed)`, `observe()`, `step(action)`, `obs_size`, `privileged_size` and
 `action_size`, as `go1_env.Go1Env` documents them. An observation is the whole history of IV-C.a.
-`train.py` makes one for each policy, and picks the algorithm. The loop over iterations is plain
-Python, so that a `breakpoint()` works in it. Acting and learning are compiled. D6 is an entry of
-`deviations.md`, which says where we depart from the paper and why; "the lab" there is the authors'
-group and its public code.
+`train.py` makes an environment for each policy, and picks the algorithm. The loop over iterations
+is plain Python, so that a `breakpoint()` works in it. Acting and learning are compiled. D6 is an
+entry of `deviations.md`, which says where we depart from the paper and why; "the lab" there is the
+authors' group and its public code.
 """
 
 from dataclasses import dataclass
@@ -42,6 +42,9 @@ class Config(PPOConfig):
     num_envs: int = 256  # [ours] robots in all, of which EIPO gives each policy half
     iterations: int = 600  # [ours] iterations of Algorithm 1; the paper: 4000 or 10 000 (D38)
     num_steps: int = 24  # [IV-C] T, control steps of each robot in a rollout
+    gamma: float = 0.99  # [lab code] discount, Eq. (1)
+    gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
+    reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
     lr_alpha: float = 0.01  # [IV-C] eta_alpha, step size of alpha; each task has its own (D38)
     clip_alpha: float = 1.0  # [IV-C] bound on the size of the gradient in alpha
     momentum_alpha: float = 0.99  # [IV-C] of the step on alpha; each task has its own (D38)
@@ -83,7 +86,7 @@ class Transition(NamedTuple):
 class Estimate(NamedTuple):
     """What lines 8 and 10 estimate from a rollout. Rewards have the factor reward_scale (D10).
 
-    The critic's heads are K: of r and f for pi, and of r alone for pi_prime, or if lam is 0.
+    K, the critic's heads, is 2 (r and f) for pi, and 1 (r) for pi_prime and where lam is 0.
     """
 
     advantage: jax.Array  # (T, N, K) of r and f, not normalised yet
@@ -268,10 +271,10 @@ def estimate(learner, tau, cfg):
 
 
 def gae(reward, values, next_values, terminated, truncated, gamma, gae_lambda):
-    """GAE, the advantages (T, ...); with values 0 and gae_lambda 1 these are returns, Eq. (1).
+    """GAE: advantages (T, ...), which with values 0 and gae_lambda 1 are returns, Eq. (1).
 
-    They are sums over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode or of the
-    rollout.
+    An advantage is the sum over l of (gamma gae_lambda)^l delta_{t+l}, up to the end of the episode
+    or of the rollout, where delta = r + gamma V(next) - V.
 
     reward, values: (T, ...)
     next_values:    (T, ...) of the state to which step t led, also where truncated

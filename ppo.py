@@ -26,12 +26,9 @@ class PPOConfig:
     num_minibatches: int = 4  # [IV-C] minibatches per pass
     lr: float = 3e-4  # [lab code] eta_pi, eta_pi': Adam's initial step size; the paper: 1e-3 (D20)
     target_kl: float = 0.03  # [ours] mean KL of an update that lr aims at; 0: fixed lr (D20)
-    gamma: float = 0.99  # [lab code] discount, Eq. (1)
-    gae_lambda: float = 0.95  # [lab code] lambda of generalised advantage estimation (GAE)
     clip_eps: float = 0.2  # [lab code] PPO's clip range
     ent_coef: float = 0.0  # [ours] weight of the entropy bonus; the lab's is 0.01
     max_grad_norm: float = 1.0  # [IV-C] bound on the norm of each network's gradient (D31)
-    reward_scale: float = 0.02  # [lab code] factor on reward and cost: a control step in s
     log_std: float = 0.0  # [lab code] log of the noise's standard deviation at the start
     hidden: tuple = (512, 256, 128)  # [IV-C] widths of actor and critic
     hidden_estimator: tuple = (256, 128)  # [IV-C] widths of the estimator
