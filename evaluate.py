@@ -3,8 +3,9 @@ of 1000 control steps without exploration noise, and prints a line for each run 
 with a 95 % interval, the share of episodes that ended early, v_x and peak [m/s], power [W] and J/m.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
-drawn, as in training, but the ground is new. Policies that play equally many episodes start from
-the same draws. The paper's figures are drawn by `python -m results`.
+drawn, as in training, but the ground is new, and on `rough` all of it has 15 cm. Policies that play
+equally many episodes start from the same draws. The paper's figures are drawn by `python -m
+results`.
 """
 
 import math
@@ -38,7 +39,7 @@ ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of 
 class Episodes(NamedTuple):
     """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
-    performance: np.ndarray  # [-] sum of task rewards / 1000; after an early end they are 0 [V-A]
+    performance: np.ndarray  # sum of task rewards / 1000; after an early end they are 0 [V-A]
     fell: np.ndarray  # bool, ended early: a fall, the limit of power, or numbers blew up
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
@@ -146,7 +147,7 @@ def numbers(e):
     """
     moving = (e["asked_v_x"] >= 0.1) | (e["asked_v_x"].max() == 0)
     return {
-        "performance": float(e["performance"].mean()),  # [-] Section V-A
+        "performance": float(e["performance"].mean()),  # Section V-A; on `velocity` [m/s]
         "fell": float(e["fell"].mean()),  # share of episodes that ended early
         "v_x": float(e["v_x"].mean()),  # [m/s]
         "peak": float(iqm(e["peak"])),  # [m/s] interquartile mean, as in Table I

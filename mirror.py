@@ -1,10 +1,9 @@
 """An MLP that treats left and right alike, to take the place of a `networks.MLP` (D28).
 
 The mirror M of a Go1 swaps its right and left legs, changes the signs of v_y, the yaw rate, roll
-and the angles of the hips, and moves the clock by half a period. Robot and tasks are symmetric, but
-for 1 to 2 mm in the centres of mass and slightly skewed inertias (D28). So is Eq. (9) with the
-power clip, but not with the torque clip (D3). So with the power clip a policy loses nothing if it
-commutes with M: if pi(M s) = M pi(s).
+and the angles of the hips, and moves the clock by half a period. Robot and tasks are nearly
+symmetric (D28). So is Eq. (9) with the power clip, but not with the torque clip (D3). So with the
+power clip a policy loses nothing if it commutes with M: if pi(M s) = M pi(s).
 
 Half of the units of a hidden layer are right ones, and the left ones see the mirrored world with
 the same weights. That alone would cost as much as an ordinary MLP. But x is the sum of an even

@@ -129,7 +129,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. Raises ValueError, or NumPy's or JSON's error, if it holds none.
+    """The Policy in a file. Raises ValueError, KeyError or TypeError if it holds none.
 
     Files of older runs have more arrays, which are ignored.
     """

@@ -68,7 +68,7 @@ def curriculum(velocity, command):
 # ---- the baseline of Section V-E ----
 
 # Weights of the shaped reward of [5], two terms for tracking and ten for a good gait (D5).
-# `train.py --reward shaped` trains on it instead of Eqs. (5) to (8).
+# `train.py --task curriculum --algo ppo --lam 0 --reward shaped` is this baseline.
 SHAPED = dict(
     linear=1.0,
     angular=0.5,
@@ -110,7 +110,7 @@ def shaped(velocity, command, gait):
     """
 
     linear, angular = kernels(velocity, command)
-    moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1
+    moving = np.linalg.norm(command[..., :2], axis=-1) > 0.1  # m/s
     middle = gait.joint_range.mean(0)
     half = SOFT_LIMIT * np.diff(gait.joint_range, axis=0)[0] / 2
     terms = dict(

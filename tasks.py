@@ -36,10 +36,10 @@ class Commands:
 
 
 class Range(Commands):
-    """Commands that are drawn uniformly between 0 and the one that is farthest from it."""
+    """Commands that are drawn uniformly, each component between 0 and that of the greatest."""
 
     def __init__(self, *greatest):
-        """greatest: v_x, v_y [m/s] and yaw rate [rad/s] of the command that is farthest from 0."""
+        """greatest: v_x, v_y [m/s] and yaw rate [rad/s]"""
         self.example = np.array(greatest, float)
         self.low, self.high = np.minimum(self.example, 0), np.maximum(self.example, 0)
 
@@ -240,7 +240,7 @@ class Config:
     ground_seed: int = 0  # [ours] seed of the Perlin noise; evaluation has its own
     start_spread: float = 0.5  # [lab code] of the start: share of joint angles, m/s and rad/s (D35)
     tiles: int = 16  # [ours] tiles of ground, from the least to the greatest roughness
-    friction: tuple = (0.5, 1.25)  # [lab code] range of the sliding friction of the feet
+    friction: tuple = (0.5, 1.25)  # [lab code] range of the sliding friction of the feet (D43)
     payload: tuple = (-1.0, 1.0)  # [lab code] kg, range of the load on the trunk
     com: tuple = (0.0, 0.0)  # [ours] m, range of the shift of the trunk's centre of mass in x, y, z
     motor_strength: tuple = (1.0, 1.0)  # [lab code] range of the factor on all torques of a robot

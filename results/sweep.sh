@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Train one line of a table of runs, by its number from 0. A line is the name of a run, and flags of
-# train.py. The run goes to runs/NAME, and what it says to runs/NAME.log. All lines of a table of ten:
+# Train one line of a list of runs, by its number from 0. A line is the name of a run, and flags of
+# train.py. The run goes to runs/NAME, and what it says to runs/NAME.log. All lines of a list of ten:
 #
-#     sbatch --array=0-9 results/sweep.sh TABLE              on a cluster with SLURM
-#     seq 0 9 | xargs -P 2 -n 1 results/sweep.sh TABLE       on one machine, two runs at a time
+#     sbatch --array=0-9 results/sweep.sh LIST               on a cluster with SLURM
+#     seq 0 9 | xargs -P 2 -n 1 results/sweep.sh LIST        on one machine, two runs at a time
 #
 # A run that was killed goes on from its last checkpoint if it is started again, and one that is
 # finished ends after some seconds. A run has as many threads as SLURM gives it cores, or as CORES says.
@@ -13,12 +13,12 @@
 #SBATCH --open-mode=append
 #SBATCH --output=slurm-%A.log
 set -u
-table=$(realpath "$1")
-number=${2:-${SLURM_ARRAY_TASK_ID:?"a number is missing: results/sweep.sh TABLE NUMBER"}}
+list=$(realpath "$1")
+number=${2:-${SLURM_ARRAY_TASK_ID:?"a number is missing: results/sweep.sh LIST NUMBER"}}
 # sbatch runs a copy of this file from elsewhere
 if [ $# -gt 1 ]; then cd "$(dirname "$0")/.."; else cd "$SLURM_SUBMIT_DIR"; fi || exit 1
-read -r name flags < <(sed -n "$((number + 1))p" "$table")
-test -n "${name:-}" || { echo "$table has no line $number, counted from 0" >&2; exit 1; }
+read -r name flags < <(sed -n "$((number + 1))p" "$list")
+test -n "${name:-}" || { echo "$list has no line $number, counted from 0" >&2; exit 1; }
 python=$(ls .venv/bin/python 2> /dev/null || command -v python)
 export PJRT_NPROC=${SLURM_CPUS_PER_TASK:-${CORES:-1}}  # JAX's threads; --threads are MuJoCo's
 folder=runs/$name

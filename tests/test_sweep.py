@@ -1,4 +1,4 @@
-"""A sweep: one script trains the lines of a table, two at a time, and goes on where it ended."""
+"""A sweep: one script trains the lines of a list, two at a time, and goes on where it ended."""
 
 import os
 import shutil
@@ -25,20 +25,20 @@ flat-broken {FLAGS} --lam -1
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A copy of the source, with a table, and this Python as its own."""
+    """A copy of the source, with a list of runs, and this Python as its own."""
     place = tmp_path / "checkout"
     ignored = shutil.ignore_patterns(".git", ".venv", "runs", "*.gif", "*.png", "*.gz", "*.npz")
     shutil.copytree(ROOT, place, ignore=ignored)
     (place / ".venv" / "bin").mkdir(parents=True)
     (place / ".venv" / "bin" / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
     (place / ".venv" / "bin" / "python").chmod(0o755)
-    (place / "table").write_text(LINES)
+    (place / "list").write_text(LINES)
     return place
 
 
 def sweep(checkout, numbers, **options):
     """Start `seq | xargs sweep.sh` as docs/runs.md has it, in a process group of its own."""
-    command = f"printf '%s\\n' {numbers} | xargs -P 2 -n 1 results/sweep.sh table"
+    command = f"printf '%s\\n' {numbers} | xargs -P 2 -n 1 results/sweep.sh list"
     with heard():
         return subprocess.Popen(
             command, shell=True, cwd=checkout, env=os.environ, start_new_session=True, **options
@@ -49,7 +49,7 @@ def contents(folder):
     return {name: x.tobytes() for name, x in run_folder.read_npz(folder / "checkpoint.npz").items()}
 
 
-def test_a_line_of_a_table_is_what_is_trained(checkout):
+def test_a_line_of_a_list_is_what_is_trained(checkout):
     """A stand-in for Python says what it is asked to run. Also as a copy that SLURM has made."""
     (checkout / ".venv/bin/python").write_text('#!/bin/sh\necho "$PJRT_NPROC $@"\n')
     script, folder = checkout / "results/sweep.sh", checkout / "runs" / NAMES[1]
@@ -62,24 +62,24 @@ def test_a_line_of_a_table_is_what_is_trained(checkout):
         return (checkout / f"runs/{NAMES[1]}.log").read_text().splitlines()[-1]
 
     out = f"--out runs/{NAMES[1]}"
-    table = checkout / "table"
-    assert said(script, table, 1) == f"1 {flags} --threads 1 {out}"
-    parse(said(script, table, 1).split()[2:])  # train.py takes it
-    assert said(script, table, 1, CORES="3") == f"3 {flags} --threads 3 {out}"
+    listed = checkout / "list"
+    assert said(script, listed, 1) == f"1 {flags} --threads 1 {out}"
+    parse(said(script, listed, 1).split()[2:])  # train.py takes it
+    assert said(script, listed, 1, CORES="3") == f"3 {flags} --threads 3 {out}"
     # killed in its first save: it starts anew
     for name in ("config.json", "metrics.csv", "policy.npz", "policy_prime.npz"):
         (folder / name).touch()
     array = dict(SLURM_ARRAY_TASK_ID="1", SLURM_CPUS_PER_TASK="2")
     array |= dict(SLURM_SUBMIT_DIR=str(checkout))
-    assert said("bash", slurm, table, CORES="3", **array) == f"2 {flags} --threads 2 {out}"
+    assert said("bash", slurm, listed, CORES="3", **array) == f"2 {flags} --threads 2 {out}"
     assert {path.name for path in folder.iterdir()} == {"lock"}
     (folder / "metrics.csv").write_text("iteration\n1\n2\n")
-    said(script, table, 1)  # somebody has deleted its checkpoint, and train.py refuses
+    said(script, listed, 1)  # somebody has deleted its checkpoint, and train.py refuses
     assert (folder / "metrics.csv").exists()
     (folder / "checkpoint.npz").touch()
-    assert said(script, table, 1) == f"1 {flags} --resume --threads 1 {out}"
+    assert said(script, listed, 1) == f"1 {flags} --resume --threads 1 {out}"
     with pytest.raises(subprocess.CalledProcessError):
-        said(script, table, 4)
+        said(script, listed, 4)
 
 
 @pytest.mark.parametrize("kill", [os.kill, os.killpg], ids=["script", "group"])
@@ -88,7 +88,7 @@ def test_who_ends_the_script_ends_the_run(checkout, kill):
     loop = "trap 'echo heard' TERM; echo up; for i in $(seq 20); do sleep 0.1; done; echo saved"
     (checkout / ".venv/bin/python").write_text(f"#!/bin/sh\n{loop}\n")
     log = checkout / f"runs/{NAMES[0]}.log"
-    with started([checkout / "results/sweep.sh", "table", "0"], cwd=checkout, process_group=0) as x:
+    with started([checkout / "results/sweep.sh", "list", "0"], cwd=checkout, process_group=0) as x:
         while not log.exists() or not log.read_text():
             time.sleep(0.01)
         kill(x.pid, signal.SIGTERM)
