@@ -6,6 +6,7 @@ tutorial/.
 """
 
 import ast
+import codeop
 import contextlib
 import inspect
 import io
@@ -102,6 +103,18 @@ def page():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figures, "draw", lambda name, figure: drawn.update({name: figure}))
         return run_page(), drawn
+
+
+def test_blocks_can_be_pasted_into_a_python_session():
+    """Line by line, as a prompt takes them: a blank line ends a loop (Python 3.11, 3.12)."""
+    for block in blocks("python"):
+        if not QUOTED.match(block):
+            open_lines = ""
+            for line in f"{block}\n".splitlines():
+                open_lines += f"{line}\n"
+                if codeop.compile_command(open_lines.removesuffix("\n"), symbol="single"):
+                    open_lines = ""
+            assert not open_lines
 
 
 @pytest.mark.go1
