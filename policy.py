@@ -129,7 +129,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. Raises ValueError, KeyError or TypeError if it holds none.
+    """The Policy in a file. If it holds none, that raises an Exception of one kind or another.
 
     Files of older runs have more arrays, which are ignored.
     """
