@@ -172,8 +172,11 @@ def _draw_curves(folder):
         for prefix, label in (("", "pi"), ("prime_", "pi'")):
             if prefix + name in columns:
                 ax.plot(columns["steps"] / 1e6, columns[prefix + name], label=label, linewidth=0.8)
-        ax.set_title(title)
-        ax.grid(alpha=0.3)
+        if ax.lines:
+            ax.set_title(title)
+            ax.grid(alpha=0.3)
+        else:  # PPO has no gap and no alpha
+            ax.set_axis_off()
     axes[0, 0].legend(loc="lower right")
     figure.supxlabel("million steps")
     png = dict(dpi=100, format="png")
