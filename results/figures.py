@@ -306,8 +306,8 @@ def weights(runs):
         for kind, arm in groups[group].items():
             for run in arm:
                 row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
-                did = run.numbers
-                rows.append(row | dict(score=did[score], power=did["power"], v_x=did["v_x"]))
+                x = run.numbers
+                rows.append(row | dict(score=x[score], power=x["power"], v_x=x["v_x"]))
         mine, (top, low) = [row for row in rows if row["group"] == group], all_axes
         if means := draw_weights(top, mine, "score", colors):
             best = max(means)

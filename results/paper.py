@@ -5,7 +5,6 @@ difference, or of the ratio of their geometric means, it *agrees*, if the interv
 sentence says, *disagrees*, if it lies wholly outside, and is *open* otherwise.
 """
 
-import math
 import warnings
 from collections import Counter
 from typing import NamedTuple
@@ -25,7 +24,6 @@ ONE_LEARNER = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e", "905d604", "cc4f7ed"
 # fixed before the runs, of a difference or of the logarithm of a ratio
 MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
-WORDS = {"performance": "score", "peak": "peak", "power": "power", "J/m": "J/m"}
 TABLE1 = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37  # m/s, of EIPO, PPO(LAMBDAS)
 
 
@@ -252,11 +250,10 @@ def outcome(sentence, kinds):
                 excluded += printed[left, right] < ends[0] or ends[1] < printed[left, right]
     if not words:
         return None
-    n = len(words)
+    n, name = len(words), statistic.replace("performance", "score")
     more = f"; {excluded} of {n} printed differences excluded" * bool(printed)
-    lams = ({kind.lam for kind in side} for side in (sentence.left, sentence.right))
-    if math.prod(map(len, (*lams, ranges))) == 1:
-        return f"{WORDS[statistic]} {shown}{more}", words[0]
+    if len(sentence.left) == len(sentence.right) == len(ranges) == 1:
+        return f"{name} {shown}{more}", words[0]
     count = Counter(words)
     counts = f"agrees at {count['agrees']} of {n}, disagrees at {count['disagrees']}"
-    return f"{WORDS[statistic]} {counts}{more}", ""
+    return f"{name} {counts}{more}", ""
