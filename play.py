@@ -8,7 +8,6 @@ In the viewer the arrow keys set the command: up and down 0.1 m/s of v_x, left a
 of yaw rate; backspace sets it to 0. In the browser there are sliders.
 """
 
-import ctypes.util
 import math
 import os
 import subprocess
@@ -17,21 +16,23 @@ from dataclasses import replace
 
 
 def way_to_draw():
-    """How MuJoCo can draw without a display: egl, osmesa or off."""
-    found = [name.lower() for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)]
-    # EGL is often there without its driver. A process can load only one of both, so a second
-    # process tries
+    """How MuJoCo can draw without a display: egl, osmesa or off.
+
+    EGL is often there without its driver, and a process can load only one of both. So others try.
+    """
     code = "import mujoco; mujoco.GLContext(8, 8).make_current()"
-    trial = dict(env=os.environ | dict(MUJOCO_GL="egl"), capture_output=True)
-    if len(found) == 2 and subprocess.run([sys.executable, "-c", code], **trial).returncode:
-        return "osmesa"
-    return found[0] if found else "off"
+    for way in ("egl", "osmesa"):
+        trial = dict(env=os.environ | dict(MUJOCO_GL=way), capture_output=True)
+        if subprocess.run([sys.executable, "-c", code], **trial).returncode == 0:
+            return way
+    return "off"
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only wait
-    if sys.platform == "linux" and "--gif" in " ".join(sys.argv):
-        if "MUJOCO_GL" not in os.environ:  # which MuJoCo reads on import
+    if sys.platform == "linux":  # MuJoCo reads it on import, which fails if this way does not work
+        os.environ.pop("MUJOCO_GL", None)
+        if "--gif" in " ".join(sys.argv):
             os.environ["MUJOCO_GL"] = way_to_draw()
 
 import numpy as np
@@ -75,8 +76,8 @@ def play(env, pi, seed=0):
 
 def names_of(folders, policies):
     """The names of runs side by side: their kinds, or their folders if two kinds are alike."""
-    told = [(pi.about, pi.config) for pi in policies if pi.about]
-    kinds = [str(Kind(x["algo"], x["lam"], y["aux"], y["reward"])) for x, y in told]
+    said = [pi.about | pi.config for pi in policies]
+    kinds = [str(Kind(x["algo"], x["lam"], x["aux"], x["reward"])) for x in said]
     for names in (kinds, [folder.resolve().name for folder in folders]):
         if len({*names}) == len(folders):
             return names
@@ -90,7 +91,7 @@ def draw(args, policies, envs, asked):
     """
     env, alone = envs[0], len(envs) == 1
     # of whole hundredths of a second, and at least two, since browsers show one as ten
-    hundredths = max(2, round(100 * (args.slow or 4.0) * env.period))
+    hundredths = max(2, round(100 * max(1.0, args.slow or 4.0) * env.period))
     slow = hundredths / (100 * env.period)
     pace = "in real time" if slow == 1 else f"{slow:.3g} times slower"
     # of several runs, pictures that last less than 60 ms would make a large file

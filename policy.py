@@ -28,7 +28,7 @@ their own names, `config` as JSON, in which `about` is one entry more.
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,8 +54,7 @@ class Policy:
     kp: float  # [N m / rad] of the joints' PD controllers
     kd: float  # [N m s / rad]
     config: dict  # of the world in which it was trained: tasks.Config, as JSON has it
-    # iteration, algo, lam, seed and robot of its training; {} in files of older runs: unknown
-    about: dict = field(default_factory=dict)
+    about: dict  # iteration, algo, lam and seed of its training, and the digest of its robot
 
     def __post_init__(self):
         self.start()
@@ -129,10 +128,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. If it holds none, that raises an Exception of one kind or another.
-
-    Files of older runs have more arrays, which are ignored.
-    """
+    """The Policy in a file. If it holds none, that raises an Exception of one kind or another."""
     with open(path, "rb") as file, np.load(file) as archive:
         arrays = dict(archive)
     config = json.loads(str(arrays.pop("config")))
@@ -142,7 +138,7 @@ def load(path):
     for net, found in layers.items():
         while (name := f"{net}.{len(found)}.") + "W" in arrays:
             found.append((arrays[name + "W"], arrays[name + "b"]))
-    about = config.pop("about", {})
+    about = config.pop("about")
     pi = Policy(**layers, **{name: arrays[name] for name in NUMBERS}, config=config, about=about)
     pi.act([0, 0, -1], np.zeros(3), pi.q_nominal, np.zeros(12))  # do its layers fit?
     pi.start()

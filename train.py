@@ -40,7 +40,7 @@ def make_envs(env_cfg, cfg, threads):
 def train(folder, envs, cfg, options, command):
     """Train from the start or the checkpoint, to the end or Ctrl-C. Returns the iteration reached.
 
-    Raises Refused if the last save fails, or if metrics.csv has other columns.
+    Raises Refused if the last save fails, or what is there cannot be resumed.
     """
     begun = eipo.init_state(envs, cfg, mirror.init_params if cfg.mirror else networks.init_params)
     if options.resume:
@@ -62,8 +62,9 @@ def train(folder, envs, cfg, options, command):
         is_first = state.iteration == begun.iteration + 1  # it is saved, to find a full disk
         is_due = is_first or is_last or state.iteration % options.checkpoint_every == 0
         try:
-            save(folder, log, state, envs, cfg, about) if is_due or failed else log.write()
-            failed = False
+            if is_due or failed:
+                save(folder, log, state, envs, cfg, about)
+                failed = False
         except OSError as error:  # the disk is full, or another program has a file open
             if is_last:
                 what = "what was learned since the last checkpoint is lost"

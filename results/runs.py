@@ -260,7 +260,7 @@ def learned_by(folder):
     loaded = {name: run_folder.load_policy(folder / f"{name}.npz") for name in names or ["policy"]}
     about, *prime = (pi.about | pi.config for pi, _ in loaded.values())
     if prime not in ([], [about]):
-        other = differing(about, prime[0]) or "iteration"  # which older ones do not say
+        other = differing(about, prime[0])
         raise Refused(f"{folder}: pi and pi' have another {other}: --resume the run")
     with run_folder.reading(path := folder / "config.json"):
         config = json.loads(path.read_text())
@@ -270,10 +270,9 @@ def learned_by(folder):
         if other := differing(about, config["env"] | config["learner"]):
             raise Refused(f"{folder}: policy.npz and config.json have another {other}")
         log = metrics.read(folder)
-        last = about.get("iteration", log["iteration"][-1])
-        if last not in log["iteration"]:
+        if (last := about["iteration"]) not in log["iteration"]:
             raise Refused(f"{folder}/metrics.csv has no row of iteration {last}, as policy.npz")
-        config["learner"]["iterations"] = int(last)  # fewer than asked for, if it was stopped
+        config["learner"]["iterations"] = last  # fewer than asked for, if it was stopped
         config["power_formula"] = evaluate.CLIP
         return config, where(log["iteration"] <= last, log), loaded
 

@@ -48,7 +48,7 @@ class Parser(argparse.ArgumentParser):
 def say(line, is_error=False, end="\n"):
     """Print a line. If its reader has gone, print nothing from now on, and let the run go on.
 
-    On a full disk the line comes with a later one.
+    On a full disk the line is lost.
     """
     stream = sys.stderr if is_error else sys.stdout
     if not stream:  # it was closed before Python began, and print would take another one
@@ -124,8 +124,9 @@ def open_descriptors():
 
 
 def program(name):
-    """Let a main(argv) return its status, usually 2, after a line on stderr if it is refused, 130
-    after Ctrl-C, and 1 if what reads its output has closed the pipe, as `head` does.
+    """Let a main(argv) return its status, usually 2, after a line on stderr if it is refused or
+    files or memory fail, 130 after Ctrl-C, and 1 if what reads its output has closed the pipe, as
+    `head` does.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its
     traceback.

@@ -9,6 +9,7 @@ import functools
 import inspect
 import re
 from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import eipo
@@ -16,14 +17,14 @@ import go1
 import tasks
 import terrain
 from ppo import LOG_STD_RANGE, LR_RANGE
-from runtime.cli import A_SEED, COUNT, Parser, Refused, misfit, tuples
+from runtime.cli import A_SEED, COUNT, Parser, Refused, a_path, misfit, tuples
 
 
 @dataclass(frozen=True)
 class Options:
     """How to run. None of these fields changes what is learned."""
 
-    out: str | None = None  # the run folder; without it runs/ gets one, named by what is trained
+    out: Path | None = None  # the run folder; without it runs/ gets one, named by what is trained
     resume: bool = False  # go on from the run folder's last checkpoint, with the settings it has
     threads: int | None = None  # threads that step the physics; without it one for each core
     checkpoint_every: int = 50  # iterations from one checkpoint to the next
@@ -95,7 +96,8 @@ def kind_of(field):
             return dict(type=int, nargs="+", metavar="N")
         return dict(type=float, nargs=2, metavar=("LOW", "HIGH"))
     kind, *_ = get_args(field.type) or (field.type,)  # of int | None it is int
-    return dict(type=kind, metavar={int: "N", float: "X", str: "TEXT"}[kind])
+    metavar = {int: "N", float: "X", Path: "FOLDER"}[kind]
+    return dict(type=a_path if kind is Path else kind, metavar=metavar)
 
 
 def limits():

@@ -39,7 +39,7 @@ QUIET_FOR = 30  # s from one line to the next where the output is no terminal
 
 
 class Log:
-    """metrics.csv, which grows by a row in each iteration, and the line on the console."""
+    """metrics.csv, and the line on the console."""
 
     def __init__(self, folder, done, iterations):
         """done: iterations of the checkpoint. Later rows are dropped: they are computed again."""
@@ -48,7 +48,6 @@ class Log:
         self.start = time.monotonic()
         self.first, self.shown_at = None, -QUIET_FOR
         self.lines = rows_until(done, self.path)  # of the whole file, from its header on
-        self.written = 0  # of these lines; 0: the file is not ours yet, or it could not be written
 
     def add(self, iteration, metrics):
         """Take one row and show it. The clock starts anew with every process."""
@@ -64,22 +63,9 @@ class Log:
         self.show(row)
 
     def write(self):
-        """Append the new rows; at first, or after a failure, write the whole file anew.
-
-        They are on the disk before a checkpoint follows.
-        """
-        whole = self.written == 0
-        data = "\n".join([*self.lines[self.written :], ""]).encode()
-        self.written = 0
-        if whole:
-            run_folder.replace_file(self.path, lambda file: file.write(data))
-        else:
-            with open(self.path, "rb+") as file:  # which makes none anew, without a header
-                file.seek(0, os.SEEK_END)
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-        self.written = len(self.lines)
+        """Write the whole file."""
+        data = "\n".join([*self.lines, ""]).encode()
+        run_folder.replace_file(self.path, lambda file: file.write(data))
 
     def show(self, row):
         """Print a row: on a terminal each, else the first, the run's last, and one every 30 s."""
@@ -94,17 +80,12 @@ class Log:
 
 
 def rows_until(done, path):
-    """The lines of a metrics.csv up to iteration `done`, and its header first; [] if it has none.
-
-    Incomplete rows, such as half a row at its end, are left out.
-    """
+    """The header of a metrics.csv and its lines up to iteration `done`; [] if there are none."""
     if not done or not path.exists():
         return []
     with run_folder.reading(path):
-        header, *lines = path.read_text().splitlines() or [""]
-        whole = [line for line in lines if line.count(",") == header.count(",")]
-        rows = {int(line.split(",")[0]): line for line in whole}
-    return [header, *(rows[i] for i in sorted(rows) if i <= done)] if header else []
+        header, *lines = path.read_text().splitlines()
+        return [header, *(line for line in lines if int(line.split(",")[0]) <= done)]
 
 
 def console_line(row, first, iterations):

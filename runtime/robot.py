@@ -128,7 +128,7 @@ def digest():
 
 
 def refuse_other_digest(path, found):
-    """Raise Refused if a file is of another robot; found: its digest, or None in older files."""
-    if found not in (None, ours := digest()):
+    """Raise Refused if a file is of another robot; found: its digest."""
+    if found != (ours := digest()):
         what = "train anew, or restore the go1.xml and go1.py of its time"
         raise Refused(f"{path} is of another robot, {found} and not {ours}: {what}")

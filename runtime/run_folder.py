@@ -7,7 +7,7 @@
     curves.png        the metrics, drawn
     lock              empty; a process that trains here holds it
 
-Nothing is pickled. All but metrics.csv, which grows by a row, are replaced in one step, so a reader
+Nothing is pickled. All are written with each checkpoint, and replaced in one step, so a reader
 finds the old file or the new one. What cannot be read is refused, in one line. checkpoint.npz has a
 file of its own, `checkpoint.py`, because it takes JAX.
 """
@@ -44,12 +44,12 @@ def reading(path):
     """Turn any error of reading a file into Refused, with one line that names the file."""
     try:
         yield
-    except Refused:  # by one who reads within
+    except (Refused, MemoryError):
         raise
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
+        raise Refused(f"{path}: {error.strerror}") from None
     except Exception as error:  # whatever the readers of npz, JSON or CSV may raise
-        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
-        quoted = f"is damaged, or of another program: {error!r:.200}"  # of a file that may be long
-        what = "does not exist" if missing else quoted
+        what = f"is damaged, or of another program: {error!r:.200}"  # of a file that may be long
         raise Refused(f"{path} {what}") from None
 
 
@@ -152,13 +152,13 @@ def of_the_robot():
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
-def save_policy(path, params, env_cfg, about=()):
+def save_policy(path, params, env_cfg, about):
     """Write policy.npz; params: as in `networks.py`.
 
-    about: what it says of its training, by name, as policy.Policy has it
+    about: what it says of its training, by name, as policy.Policy has it, but for the robot
     """
     layers = {net: params[net].layers for net in ("actor", "estimator")}
-    about = dict(about) | dict(robot=robot.digest())
+    about = about | dict(robot=robot.digest())
     pi = policy.Policy(**layers, **of_the_robot(), config=asdict(env_cfg), about=about)
     replace_file(path, lambda file: policy.save(file, pi))
 
@@ -192,5 +192,5 @@ def load_policy(path):
         if other:
             raise ValueError(f"its robot has another {', '.join(other)}")
         env_cfg = read_config(pi.config)
-    robot.refuse_other_digest(path, pi.about.pop("robot", None))
-    return pi, env_cfg
+        robot.refuse_other_digest(path, pi.about["robot"])
+        return pi, env_cfg

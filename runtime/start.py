@@ -12,7 +12,7 @@ def begin(options, given_env, given_learner):
     """The folder, tasks.Config and eipo.Config of a run that may start, or with --resume go on.
 
     options: flags.Options; given_env, given_learner: the fields that the command line sets.
-    Raises Refused if its settings make no sense, or if its folder is not the run's.
+    Raises Refused if its settings make no sense, or if its folder holds another run.
     """
     robot.refuse_other_model()
     settings = settle(given_env, given_learner)
@@ -58,9 +58,7 @@ def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
     variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
     name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
-    if options.out == "":  # a script's variable that is not set
-        raise Refused("--out is empty: name a folder, or leave it out")
-    return Path(options.out or f"runs/{name}")
+    return options.out or Path(f"runs/{name}")
 
 
 def refuse_used(folder):

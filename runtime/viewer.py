@@ -193,19 +193,14 @@ def film(env, steps, seconds, size=SIZE, every=1):
     size: (width, height) of the pictures
     """
     if os.environ.get("MUJOCO_GL") == "off":
-        raise Refused("a GIF needs OpenGL: install libegl1 or libosmesa6")
+        raise Refused("a GIF needs libosmesa6, or libegl1 and libgl1-mesa-dri: install one")
     model, data = make_scene(env)
     camera = mujoco.MjvCamera()
     second = round(1 / env.period)
     logs = deque(islice(steps, second), second)  # the first second passes and is not drawn
     point(camera, env, model)
     pictures, means = [], []
-    try:
-        renderer = mujoco.Renderer(model, size[1], size[0])
-    except Exception as error:  # MuJoCo's, or that of whichever library it draws with
-        what = f"OpenGL does not work with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {error!r}"
-        raise Refused(f"{what}. Install libosmesa6, or set MUJOCO_GL to another way") from None
-    with renderer:
+    with mujoco.Renderer(model, size[1], size[0]) as renderer:
         for i, log in enumerate(islice(steps, max(1, round(seconds / env.period)))):
             logs.append(log)
             if i % every:

@@ -224,7 +224,7 @@ TINY += ["--hidden", "8", "--hidden-estimator", "8"]
 
 
 def make_run(folder, task="flat", **learner):
-    """The path of a new run folder with an untrained policy."""
+    """The path of a new run folder with an untrained policy, which claims 35 iterations."""
     env_cfg = tasks.task_config(task, history=2, tiles=2)
     small = dict(hidden=(8,), hidden_estimator=(8,))
     _, cfg = settle(dict(task=task), small | learner)
@@ -232,7 +232,8 @@ def make_run(folder, task="flat", **learner):
     pi = ppo.init_learner(np.random.default_rng(cfg.seed), env, dict(reward=1.0, cost=1.0), cfg)
     folder.mkdir(exist_ok=True)
     run_folder.save_config(folder, run_folder.record(env_cfg, cfg, [], dict(device="cpu")))
-    run_folder.save_policy(folder / "policy.npz", pi.params, env_cfg)
+    about = dict(iteration=35, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
+    run_folder.save_policy(folder / "policy.npz", pi.params, env_cfg, about)
     return folder
 
 
@@ -240,7 +241,7 @@ def rewrite(file, about=(), **world):
     """Let a policy file of a run folder say what it is of, in a world with other settings."""
     pi, env_cfg = run_folder.load_policy(file)
     params = dict(actor=MLP(pi.actor), estimator=MLP(pi.estimator))
-    run_folder.save_policy(file, params, replace(env_cfg, **world), about)
+    run_folder.save_policy(file, params, replace(env_cfg, **world), pi.about | dict(about))
 
 
 def error_of(capsys, main, *argv):

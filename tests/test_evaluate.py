@@ -94,7 +94,7 @@ def test_what_stands_in_the_way_is_one_line(folder, asked, capsys):
 def test_prime_is_the_rival(tmp_path, asked, capsys):
     """Its file is policy_prime.npz, which PPO does not have."""
     folder = make_run(tmp_path / "run")
-    assert "policy_prime.npz does not exist" in error_of(capsys, evaluate.main, folder, "--prime")
+    assert "policy_prime.npz: No such" in error_of(capsys, evaluate.main, folder, "--prime")
     (folder / "policy.npz").rename(folder / "policy_prime.npz")
     assert evaluate.main([str(folder), "--prime", "--episodes", "11"]) == 0
     assert "policy.npz" in error_of(capsys, evaluate.main, folder)

@@ -77,14 +77,14 @@ def test_a_sensor_that_fails_is_forgotten(tmp_path):
 
 @pytest.mark.go1
 def test_a_policy_says_what_it_is_of(tmp_path):
-    """In its JSON beside the settings of its world. A file that does not is read, too."""
+    """In its JSON beside the settings of its world."""
     path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)
     made, env_cfg = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
     params = dict(actor=MLP(made.actor), estimator=MLP(made.estimator))
     run_folder.save_policy(path, params, env_cfg, about)
     pi, same = run_folder.load_policy(path)
-    assert pi.about == about and pi.config == made.config and same == env_cfg
-    assert made.about == {}
+    assert pi.about == about | dict(robot=run_folder.robot.digest())
+    assert pi.config == made.config and same == env_cfg
 
 
 GOOD = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)

@@ -602,7 +602,7 @@ def test_what_does_not_belong_together_is_refused(short, capsys):
     shutil.rmtree(folder)
     run_of("r")
     (folder / "metrics.csv").unlink()
-    assert "metrics.csv does not exist" in error_of(capsys, main, "add", folder, *TO)
+    assert "metrics.csv: No such file or directory" in error_of(capsys, main, "add", folder, *TO)
     assert not Path("kept").exists()
 
 
@@ -678,9 +678,9 @@ def test_pictures_do_not_depend_on_the_users_own_style(tmp_path):
 @pytest.mark.parametrize(
     ("argv", "says"),
     [
-        (["fig2", "nobody.json"], "nobody.json does not exist"),
+        (["fig2", "nobody.json"], "nobody.json: No such file or directory"),
         (["alpha", str(RESULTS / "flat/flat-ppo-lam0-seed10.json")], "EIPO, which alone"),
-        (["add", "nowhere"], "nowhere/policy.npz does not exist"),
+        (["add", "nowhere"], "nowhere/policy.npz: No such file or directory"),
         (["table", "empty"], "empty holds no run"),
         (["table", "half.json"], "half.json is damaged"),
     ],

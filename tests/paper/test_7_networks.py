@@ -299,7 +299,9 @@ def test_policy_npz_is_the_same_policy(init):
     assert {x.dtype.name for layers in whole.values() for x in sum(layers, ())} == {"float32"}
     obs, privileged = env.observe()
     mean, _, estimate = policy(params, obs)
-    pi = Policy(whole["actor"], whole["estimator"], **run_folder.of_the_robot(), config={})
+    pi = Policy(
+        whole["actor"], whole["estimator"], **run_folder.of_the_robot(), config={}, about={}
+    )
     np.testing.assert_allclose(pi.mean(obs), mean, atol=1e-5)
     np.testing.assert_allclose(pi.estimate, estimate, atol=1e-5)
     values = value(params | dict(critic=MLP(whole["critic"])), obs, privileged)
