@@ -1,6 +1,6 @@
 """`python -m results NAME RUN...`: figures and tables of runs that are kept. NAME is one of
 
-    a figure   fig2 fig3 fig4 fig5 fig6 table1 alpha weights, as PNG and CSV in --out
+    a figure   fig2 fig3 fig4 fig5 fig6 table1 strides alpha weights, as PNG and CSV in --out
     table      a line for each kind of run: score, power, falls, energy, and the score of each seed
     short      the same with fewer columns, as our pages show it
     readme     the table of README.md
@@ -28,7 +28,7 @@ from results import figures, paper, runs, tables
 from runtime import run_folder
 from runtime.cli import COUNT, Parser, a_path, misfit, program
 
-FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "alpha", "weights"
+FIGURES = "fig2", "fig3", "fig4", "fig5", "fig6", "table1", "strides", "alpha", "weights"
 TABLES = dict(table=tables.table, short=tables.short, readme=tables.readme, paper=paper.paper)
 TAKEN_BY = dict(out=FIGURES, results=("add",), episodes=("add",))
 

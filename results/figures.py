@@ -14,7 +14,7 @@ from scipy import stats
 
 import evaluate
 from results.paper import MARGINS, TABLE1, eipo, ppo
-from results.runs import by_group, inside
+from results.runs import by_group, inside, with_primes
 from runtime.cli import Refused
 from tasks import LAMBDAS
 
@@ -244,6 +244,28 @@ def table1(runs):
         axes.set_xlabel("peak velocity [m/s]")
         axes.grid(alpha=0.3)
     figure.suptitle("dots: ours; diamonds: the paper's", fontsize=8)
+    return rows, figure
+
+
+def strides(runs):
+    """Peak velocity over strides a second, a dot for each run, and for each pi' an open one."""
+    groups, rows = by_group(runs, "velocity"), []
+    for run in runs:
+        if "strides" not in run.did:
+            raise Refused(f"{run.name} was kept without its strides: add it anew")
+    figure, panels = panels_of(groups, 1)
+    for group, (axes,) in panels:
+        for kind, arm in with_primes(groups[group]).items():
+            about = dict(group=group, kind=kind)
+            did = [dict(strides=run.did["strides"][0], peak=run.did["peak"][0]) for run in arm]
+            rows += [about | dict(run=run.name) | x for run, x in zip(arm, did, strict=True)]
+            look = style(kind) | dict(linestyle="", markersize=5)
+            look |= dict(markerfacecolor="none") if kind.prime else {}
+            x, y = ([one[name] for one in did] for name in ("strides", "peak"))
+            axes.plot(x, y, label=str(kind), **look)
+        axes.set(xlabel="strides [1/s]", ylabel=LABELS["peak"])
+        axes.grid(alpha=0.3)
+    legend_below(figure)
     return rows, figure
 
 

@@ -2,7 +2,8 @@
 
     asked     config.json: every setting; command, commit, machine and versions of each start
     learned   at most 200 rows of its metrics.csv, in the COLUMNS that a reader looks at
-    did       what pi and pi' did when they were played, a row for each command and kind of start
+    did       what pi and pi' did when they were played, a row for each command and kind of start;
+              on velocity also their strides [1/s]
     episodes  on velocity, peak and v_x [m/s] and power [W] of each episode of pi
     speed     on velocity, the mean speed of pi over time
     reached   on curriculum, the cells that the grid of commands had reached
@@ -345,13 +346,34 @@ def play(pi, env_cfg, nominal, n):
     commands = GRID if is_grid else evaluate.commands_of(env_cfg.task)
     asked = np.repeat(commands, math.ceil(n / len(commands)), 0)
     env = evaluate.make_env(evaluate.evaluation_config(env_cfg, nominal=nominal), asked)
-    episodes, v_x = evaluate.run_episodes(pi.mean, env)
-    return dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict(), v_x
+    thigh = []  # the angle (N,) [rad] of the right front one in each step
+
+    def watched(obs):
+        thigh.append(env.qpos[:, 8].copy())
+        return pi.mean(obs)
+
+    episodes, v_x = evaluate.run_episodes(watched, env)
+    e = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
+    if env_cfg.task == "velocity":
+        period = env_cfg.timestep * env_cfg.physics_steps
+        e["strides"] = strides_of(np.where(np.isnan(v_x), np.nan, thigh), period)
+    return e, v_x
+
+
+def strides_of(angle, period):
+    """How many strides a second robots take, (N,) [1/s]: the strongest frequency of a joint.
+
+    angle:  (T, N) [rad] of the joint, NaN after the end of the episode
+    period: [s] from one row to the next
+    """
+    swing = np.nan_to_num(angle - np.nanmean(angle, 0))
+    strongest = np.abs(np.fft.rfft(swing, axis=0)).argmax(0)
+    return np.fft.rfftfreq(len(angle), period)[strongest]
 
 
 def by_command(about, e):
-    """A row for each command: of the columns e of episodes the means, and of the peak [m/s] the
-    interquartile mean.
+    """A row for each command: of the columns e of episodes the means, and of the peak [m/s] and the
+    strides the interquartile means.
     """
     commands, which = np.unique(np.stack([e[x] for x in ASKED], 1), axis=0, return_inverse=True)
     which = which.ravel()  # NumPy 2.0.0 has one axis more
@@ -360,7 +382,8 @@ def by_command(about, e):
     columns |= dict(zip(ASKED, commands.T, strict=True))
     columns["episodes"] = [len(x["fell"]) for x in each]
     columns |= {x: [one[x].mean() for one in each] for x in evaluate.Episodes._fields}
-    return columns | dict(peak=[evaluate.iqm(one["peak"]) for one in each])
+    extreme = [x for x in ("peak", "strides") if x in e]
+    return columns | {x: [evaluate.iqm(one[x]) for one in each] for x in extreme}
 
 
 def speed_of(v_x, period):

@@ -38,7 +38,7 @@ def made(name="r", task="flat", commit=LEARNER, **columns):
     for setting in columns.keys() & settings.keys():
         settings[setting] = columns.pop(setting)
     n = max((len(x) for x in columns.values()), default=1)
-    names = *runs.ASKED, "episodes", *evaluate.Episodes._fields
+    names = *runs.ASKED, "episodes", *evaluate.Episodes._fields, "strides"
     did = {x: np.broadcast_to(np.array(columns.get(x, 0.0), float), n) for x in names}
     learned = dict(iteration=np.array([10, 560, 600]), alpha=np.array([9000, 150, 250]))
     return runs.Run(name, settings, [dict(commit=commit)], learned, did, {}, did, {}, {}, {})
@@ -438,6 +438,22 @@ def test_table1_has_interquartile_means_beside_the_papers():
     assert axes.lines[0].get_xdata().tolist() == [1.5, 5.5]
 
 
+def test_peaks_over_strides():
+    """Of pi and, open, of pi' of each run; in `made` both do the same."""
+    some = [made("e", "velocity", strides=[6.0], peak=[4.0])]
+    some += [made("p", "velocity", algo="ppo", lam=0.0, strides=[3.0], peak=[2.5])]
+    rows, figure = figures.strides(some)
+    found = [(str(row["kind"]), row["run"], row["strides"], row["peak"]) for row in rows]
+    pi = "EIPO from 0.0002", "e", 6, 4
+    assert found == [pi, ("pi' of EIPO from 0.0002", "e", 6, 4), ("PPO(0)", "p", 3, 2.5)]
+    dots = figure.axes[0].lines
+    assert [line.get_xydata().tolist() for line in dots] == [[[6, 4]], [[6, 4]], [[3, 2.5]]]
+    assert [line.get_markerfacecolor() == "none" for line in dots] == [False, True, False]
+    some[1].did.pop("strides")
+    with pytest.raises(Refused, match="p was kept without its strides: add it anew"):
+        figures.strides(some)
+
+
 def test_alpha_over_iterations_beside_one_over_lambda():
     """PPO(0.005), which scores 1.25 on 100 W, has the objective of an alpha of 200."""
     some = seeds([1.4]) + ppo(0.005, [1.25]) + ppo(0, [1.5]) + ppo(0.01, [1.2], num_envs=512)
@@ -532,14 +548,25 @@ def test_a_run_that_is_kept_comes_out(short):
 
 
 def test_what_is_kept_of_velocity(short):
-    """Peak, speed and power of each episode, and the speed over time; the peak of the run is the
-    interquartile mean over its episodes.
+    """Peak, speed and power of each episode, the speed over time, and strides; the peak of the run
+    is the interquartile mean over its episodes.
     """
     assert main(["add", str(run_of("r", "velocity")), *TO]) == 0
     (run,) = runs.read_all(["kept/velocity"])
     assert {name: len(x) for name, x in run.episodes.items()} == dict(peak=11, v_x=11, power=11)
     assert run.numbers["peak"] == pytest.approx(evaluate.iqm(run.episodes["peak"]), abs=1e-4)
     assert run.speed["time"].tolist() == [0.16]
+    assert 1 / 0.32 <= run.did["strides"][0] <= 25
+
+
+def test_strides_are_the_strongest_frequency():
+    """2 s of 50 rows. Robot 0 swings 3 times a second, and half as far 6 times; robot 1 falls after
+    one second, in which it swung 5 times.
+    """
+    turns = 2 * np.pi * np.arange(100)[:, None] / 50
+    angle = 0.8 + np.sin(turns * [3, 5]) + [0.5, 0] * np.sin(turns * 6)
+    angle[50:, 1] = np.nan
+    assert runs.strides_of(angle, 0.02).tolist() == pytest.approx([3, 5])
 
 
 def test_speeds_in_thirds_of_a_second():
