@@ -4,7 +4,7 @@
     learned   at most 200 rows of its metrics.csv, in the COLUMNS that a reader looks at
     did       what pi and pi' did when they were played, a row for each command and kind of start;
               on velocity also their strides [1/s]
-    episodes  on velocity, peak and v_x [m/s] and power [W] of each episode of pi
+    episodes  on velocity, the peak [m/s] of each episode of pi
     speed     on velocity, the mean speed of pi over time
     reached   on curriculum, the cells that the grid of commands had reached
 
@@ -331,7 +331,7 @@ def played(policies, task, num_episodes=None):
             who = name.removeprefix("policy_").replace("policy", "pi")
             parts.append(by_command(dict(policy=who, nominal=nominal), e))
             if task == "velocity" and (name, nominal) == cases[0]:
-                tables["episodes"] = table_of({x: e[x] for x in ("peak", "v_x", "power")})
+                tables["episodes"] = table_of(dict(peak=e["peak"]))
                 period = env_cfg.timestep * env_cfg.physics_steps
                 tables["speed"] = table_of(speed_of(v_x, period))
     did = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
