@@ -4,8 +4,7 @@ with a 95 % interval, the share of episodes that ended early, v_x and peak [m/s]
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
 drawn, as in training, but the ground is new, and on `rough` all of it has 15 cm. Policies of a task
-that play equally many episodes start from the same draws. `python -m results` draws the paper's
-figures.
+that play equally many episodes start from the same draws. `python -m results` draws figures.
 """
 
 import math

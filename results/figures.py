@@ -250,19 +250,16 @@ def table1(runs):
 def strides(runs):
     """Peak velocity over strides a second, a dot for each run, and for each pi' an open one."""
     groups, rows = by_group(runs, "velocity"), []
-    for run in runs:
-        if "strides" not in run.did:
-            raise Refused(f"{run.name} was kept without its strides: add it anew")
     figure, panels = panels_of(groups, 1)
     for group, (axes,) in panels:
         for kind, arm in with_primes(groups[group]).items():
-            about = dict(group=group, kind=kind)
-            did = [dict(strides=run.did["strides"][0], peak=run.did["peak"][0]) for run in arm]
-            rows += [about | dict(run=run.name) | x for run, x in zip(arm, did, strict=True)]
+            x, y = ([run.did[name][0] for run in arm] for name in ("strides", "peak"))
             look = style(kind) | dict(linestyle="", markersize=5)
             look |= dict(markerfacecolor="none") if kind.prime else {}
-            x, y = ([one[name] for one in did] for name in ("strides", "peak"))
             axes.plot(x, y, label=str(kind), **look)
+            for run, strides, peak in zip(arm, x, y, strict=True):
+                about = dict(group=group, kind=kind, run=run.name)
+                rows.append(about | dict(strides=strides, peak=peak))
         axes.set(xlabel="strides [1/s]", ylabel=LABELS["peak"])
         axes.grid(alpha=0.3)
     legend_below(figure)

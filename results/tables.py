@@ -94,6 +94,5 @@ def plain_ppo(kinds):
 
 def best_ppo(group, kinds):
     """That of them whose mean score is the best, or None."""
-    return max(
-        plain_ppo(kinds), key=lambda kind: scores_of(group, kinds[kind]).mean(), default=None
-    )
+    means = {kind: scores_of(group, kinds[kind]).mean() for kind in plain_ppo(kinds)}
+    return max(means, key=means.get, default=None)

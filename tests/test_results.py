@@ -449,9 +449,6 @@ def test_peaks_over_strides():
     dots = figure.axes[0].lines
     assert [line.get_xydata().tolist() for line in dots] == [[[6, 4]], [[6, 4]], [[3, 2.5]]]
     assert [line.get_markerfacecolor() == "none" for line in dots] == [False, True, False]
-    some[1].did.pop("strides")
-    with pytest.raises(Refused, match="p was kept without its strides: add it anew"):
-        figures.strides(some)
 
 
 def test_alpha_over_iterations_beside_one_over_lambda():
