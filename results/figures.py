@@ -1,4 +1,4 @@
-"""The paper's Figures 2 to 6 and Table I, and two pictures of ours, from the runs that are kept.
+"""The paper's Figures 2 to 6 and Table I, and three pictures of ours, from the runs that are kept.
 
 Each is a function of Runs that returns the rows of its CSV and the picture. Thin lines and small
 dots are seeds, thick and large ones their means.

@@ -382,8 +382,8 @@ def by_command(about, e):
     columns |= dict(zip(ASKED, commands.T, strict=True))
     columns["episodes"] = [len(x["fell"]) for x in each]
     columns |= {x: [one[x].mean() for one in each] for x in evaluate.Episodes._fields}
-    extreme = [x for x in ("peak", "strides") if x in e]
-    return columns | {x: [evaluate.iqm(one[x]) for one in each] for x in extreme}
+    by_iqm = [x for x in ("peak", "strides") if x in e]
+    return columns | {x: [evaluate.iqm(one[x]) for one in each] for x in by_iqm}
 
 
 def speed_of(v_x, period):

@@ -65,6 +65,15 @@ raise SystemExit(program("any.py")(lambda argv: os.open(os.devnull, os.O_RDONLY)
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 3
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+def test_a_full_disk_under_the_console_ends_no_run():
+    """Linux has a device that is a full disk."""
+    code = "from runtime.cli import program, say"
+    code += "; raise SystemExit(program('any.py')(lambda argv: say('lost') or 3)([]))"
+    with open("/dev/full", "w") as full:
+        assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, stdout=full).returncode == 3
+
+
 @pytest.mark.parametrize(
     "error",
     [

@@ -1,5 +1,6 @@
 """Settings: those of the paper, and those that are beyond their limits or do not fit together."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -99,10 +100,10 @@ def test_what_is_typed_is_read():
     assert settle(dict(task="curriculum") | world, {})[0].max_power == np.inf
 
 
-@pytest.mark.parametrize("given", ["--num-envs many", "--iter 2", "--friction 1"])
+@pytest.mark.parametrize("given", ["--num-envs many", "--iter 2", "--friction 1", "--out ''"])
 def test_flags_that_do_not_parse_are_one_line(capsys, given):
     with pytest.raises(SystemExit, match="2"):
-        train.main(given.split())
+        train.main(shlex.split(given))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("train.py: ") and given.split()[0] in line
 
