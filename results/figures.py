@@ -21,7 +21,6 @@ from tasks import LAMBDAS
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
 LABELS = dict(performance="score", energy="energy [J/m]", power="power [W]", peak="peak [m/s]")
 BLUE, BROWN, GREEN, RED = "#0072B2", "#8C510A", "#009E73", "#C00000"
-WALKS = 0.25  # m/s, mean speed ahead above which a run walks
 
 
 def score_of(group):
@@ -326,7 +325,7 @@ def weights(runs):
             for run in arm:
                 row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
                 x = run.numbers
-                rows.append(row | dict(score=x[score], power=x["power"], v_x=x["v_x"]))
+                rows.append(row | dict(score=x[score], power=x["power"], walks=run.walks))
         mine, (top, low) = [row for row in rows if row["group"] == group], all_axes
         if means := draw_weights(top, mine, "score", colors):
             best = max(means)
@@ -350,7 +349,7 @@ def draw_weights(axes, rows, column, colors):
     means = [np.mean([row[column] for row in fixed if row["lam"] == lam]) for lam in lams]
     axes.plot([lam or zero for lam in lams], means, color=BROWN, linewidth=1)
     for label, walks in (("PPO", True), ("PPO that does not walk", False)):
-        dots = [row for row in fixed if (row["v_x"] > WALKS) == walks]
+        dots = [row for row in fixed if row["walks"] == walks]
         if dots:
             at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
             face = BROWN if walks else "white"

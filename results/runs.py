@@ -35,6 +35,7 @@ COLUMNS += "prime_reward", "prime_v_x", "prime_power"
 ASKED = "asked_v_x", "asked_v_y", "asked_yaw"
 # how many episodes of pi are played from random starts and from the nominal pose, and of pi'
 NUM_EPISODES = dict(curriculum=(968, 121, 363), velocity=(1000, 100, 330))
+WALKS = 0.25  # m/s, mean speed, the way that was asked for, above which a run walks
 # the commands of Figure 5: every v_x [m/s] with every yaw rate [rad/s]
 GRID = np.array([(x, 0, yaw) for x in np.linspace(-1, 4, 11) for yaw in np.linspace(-5, 5, 11)])
 
@@ -86,6 +87,12 @@ class Run(NamedTuple):
     def numbers(self):
         """evaluate.numbers of pi from random starts."""
         return evaluate.numbers(self.did)
+
+    @property
+    def walks(self):
+        """Whether pi walks; where it was asked to go backwards, its speed backwards counts."""
+        ahead = np.where(self.did["asked_v_x"] < 0, -1, 1)
+        return bool((ahead * self.did["v_x"]).mean() > WALKS)
 
 
 def usual_settings(task, iterations):

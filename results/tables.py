@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from results.figures import LABELS, WALKS, score_of
+from results.figures import LABELS, score_of
 from results.paper import compare
 from results.runs import by_group, read_all, with_primes
 from runtime.cli import Refused
@@ -73,7 +73,7 @@ def cells_of(group, kind, arm):
     return {
         LABELS[score_of(group)]: f"{scores.mean():.2f}",
         "power [W]": f"{np.mean([x['power'] for x in did]):.0f}",
-        "runs that walk": f"{sum(x['v_x'] > WALKS for x in did)}/{len(arm)}",
+        "runs that walk": f"{sum(run.walks for run in arm)}/{len(arm)}",
         "fell [%]": f"{100 * np.mean([x['fell'] for x in did]):.1f}",
         "from nominal": f"{100 * np.mean(starts):.1f}" if starts else "",
         "energy [J/m]": f"{energy:.0f}" if np.isfinite(energy) else "a run stands",

@@ -321,6 +321,14 @@ def test_a_line_for_each_kind(of):
     )
 
 
+def test_a_run_walks_if_it_goes_the_way_it_was_asked():
+    """(1 + 0.5) / 2 = 0.75 m/s, of which half is backwards; where it was asked ahead instead, the
+    mean is (-1 + 0.5) / 2, and it does not walk.
+    """
+    back, ahead = (made("a", asked_v_x=[x, 0.5], v_x=[-1, 0.5]) for x in (-1, 1))
+    assert (back.walks, ahead.walks) == (True, False)
+
+
 def test_the_table_of_the_readme(of):
     of(ppo(0, [1.25], [400]) + ppo(0.002, [1.5]) + seeds([1.25], lam=0.02))
     assert [line.split(" | ")[0].strip("| ") for line in tables.readme(())][2:] == [
