@@ -35,15 +35,15 @@ class MLP:
 
 
 def policy(params, obs):
-    """Mean and standard deviation (..., A) of the action for obs (..., D), and guess (..., P).
+    """Mean and standard deviation (..., A) of the action for obs (..., D), and estimated (..., P).
 
-    The estimator guesses what is privileged, the true velocity of the body. The actor sees the
-    guess, but the estimator learns from its own error alone (D19).
+    What the estimator estimates is privileged, the true velocity of the body. The actor sees the
+    estimate, but the estimator learns from its own error alone (D19).
     """
-    guess = params["estimator"](obs)
-    mean = params["actor"](jnp.concatenate([obs, jax.lax.stop_gradient(guess)], -1))
+    estimated = params["estimator"](obs)
+    mean = params["actor"](jnp.concatenate([obs, jax.lax.stop_gradient(estimated)], -1))
     std = jnp.exp(params["log_std"])
-    return mean, jnp.broadcast_to(std, mean.shape), guess
+    return mean, jnp.broadcast_to(std, mean.shape), estimated
 
 
 def value(params, obs, privileged):

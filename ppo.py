@@ -108,14 +108,14 @@ def ppo_loss(params, batch, cfg):
     batch: of S samples: obs (S, D), privileged (S, P), action (S, A), log_prob (S,), target (S, K)
            and advantage (S,)
     """
-    mean, std, guess = policy(params, batch["obs"])
+    mean, std, estimated = policy(params, batch["obs"])
     log_ratio = log_prob(mean, std, batch["action"]) - batch["log_prob"]
     ratio = jnp.exp(log_ratio)
     surrogate = clipped_surrogate(ratio, batch["advantage"], cfg.clip_eps).mean()
     entropy = 0.5 * jnp.log(2 * jnp.pi * jnp.e * std**2).sum(-1).mean()
     values = value(params, batch["obs"], batch["privileged"])
     value_loss = jnp.square(values - batch["target"]).sum(-1).mean()
-    estimator_loss = jnp.square(guess - batch["privileged"]).sum(-1).mean()
+    estimator_loss = jnp.square(estimated - batch["privileged"]).sum(-1).mean()
     loss = -surrogate - cfg.ent_coef * entropy + value_loss + estimator_loss
     kl = (ratio - 1 - log_ratio).mean()  # estimates KL(old, new), and is never negative
     log = dict(value_loss=value_loss, estimator_loss=estimator_loss, kl=kl, std=std.mean())

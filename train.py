@@ -37,7 +37,7 @@ def make_envs(env_cfg, cfg, threads):
     return [go1_env.Go1Env(num_envs, env_cfg, threads, commands) for _ in range(policies)]
 
 
-def train(folder, envs, cfg, options, command):
+def train(folder, envs, cfg, options, words):
     """Train from the start or the checkpoint, to the end or Ctrl-C. Returns the iteration reached.
 
     Raises Refused if the last save fails, or what is there cannot be resumed.
@@ -47,7 +47,7 @@ def train(folder, envs, cfg, options, command):
         begun = checkpoint.load(folder / "checkpoint.npz", begun, envs)
     env_cfg = envs[0].env_cfg
     earlier = run_folder.starts(folder) if options.resume else []
-    about = run_folder.record(env_cfg, cfg, command, jax_setup.numerics(), earlier)
+    recorded = run_folder.record(env_cfg, cfg, words, jax_setup.numerics(), earlier)
     log = metrics.Log(folder, begun.iteration, cfg.iterations)
     what = f"{cfg.algo} on {env_cfg.task}, {cfg.num_envs} robots"
     say(f"{folder}: {what}. Compiling (once, ~15 s) ...")
@@ -63,7 +63,7 @@ def train(folder, envs, cfg, options, command):
         is_due = is_first or is_last or state.iteration % options.checkpoint_every == 0
         try:
             if is_due or failed:
-                save(folder, log, state, envs, cfg, about)
+                save(folder, log, state, envs, cfg, recorded)
                 failed = False
         except OSError as error:  # the disk is full, or another program has a file open
             if is_last:
@@ -77,11 +77,11 @@ def train(folder, envs, cfg, options, command):
     return state.iteration
 
 
-def save(folder, log, state, envs, cfg, about):
+def save(folder, log, state, envs, cfg, recorded):
     """Write all that a run keeps, the checkpoint after log and policies. If killed before it, a
     run goes on from the previous one, with the same bits.
     """
-    run_folder.save_config(folder, about)
+    run_folder.save_config(folder, recorded)
     log.write()
     origin = dict(iteration=state.iteration, algo=cfg.algo, lam=cfg.lam, seed=cfg.seed)
     for name, learner in dict(policy=state.pi, policy_prime=state.pi_prime).items():

@@ -157,7 +157,7 @@ def check(options, env_cfg, cfg):
         what = f"{steps} show a clock of at most {0.5 / period:g} Hz"
         raise Refused(f"--clock-hz is {env_cfg.clock_hz}: {what}")
     policies = 2 if cfg.algo == "eipo" else 1
-    batch = cfg.num_steps * cfg.num_envs // policies // cfg.num_minibatches
+    samples = cfg.num_steps * cfg.num_envs // policies
     units = cfg.hidden + cfg.hidden_estimator
     if cfg.lam < FACTOR["at least"] and (cfg.algo == "eipo" or cfg.lam):
         why = "EIPO starts at alpha = 1 / lam, and only --algo ppo takes 0"
@@ -169,5 +169,8 @@ def check(options, env_cfg, cfg):
     if cfg.num_envs % policies:
         what = f"--num-envs is {cfg.num_envs}: {policies} policies have equal shares"
         raise Refused(f"{what}, so it must be a multiple of {policies}")
-    if batch < 1:
+    if samples < 2:
+        what = "a policy has one sample, whose normalised advantage is 0"
+        raise Refused(f"--num-envs is {cfg.num_envs}, and --num-steps {cfg.num_steps}: {what}")
+    if samples < cfg.num_minibatches:
         raise Refused("--num-minibatches is greater than num_steps * num_envs of each policy")

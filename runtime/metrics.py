@@ -4,7 +4,7 @@ Columns of metrics.csv, means over the robots and steps of an iteration where no
 
 steps                          [-] control steps of all robots so far
 J, gap, alpha, task_share      of Algorithm 1: J(pi), J(pi) - J(pi'), alpha, and std(alpha A_r) over
-                               std(alpha A_r) + std(A_f)
+                               std(alpha A_r) + std(A_f), for PPO with 1 / lambda as alpha
 reward, cost                   r [-] and f [W], or [-] for Eq. (11)
 task_reward                    [-] what Eqs. (5) to (8) would pay, where reward is the shaped one
 v_x, command_x                 [m/s] speed ahead, and what was asked for
@@ -18,7 +18,7 @@ explained_variance             share of the variance of returns that the critic 
 explained_variance_cost        the same of its head for the cost
 policy_loss, value_loss,       of actor, critic and estimator
 estimator_loss
-clip_fraction                  share of actions in the update that PPO clips
+clip_fraction                  share of samples whose ratio is beyond 1 +- clip_eps
 kl, std                        how far pi moved in this iteration, and its exploration noise
 lr, skipped                    Adam's step size, and updates skipped so far, as not finite
 prime_...                      the same of pi'
@@ -85,7 +85,10 @@ def rows_until(done, path):
         return []
     with run_folder.reading(path):
         header, *lines = path.read_text().splitlines()
-        return [header, *(line for line in lines if int(line.split(",")[0]) <= done)]
+        kept = [line for line in lines if int(line.split(",")[0]) <= done]
+        if not kept or int(kept[-1].split(",")[0]) < done:
+            raise ValueError(f"it ends before iteration {done}, to which the checkpoint goes")
+        return [header, *kept]
 
 
 def console_line(row, first, iterations):

@@ -102,7 +102,7 @@ def commit():
 
     def git(*words):
         options = dict(cwd=here.parent, env=env, check=True, capture_output=True, text=True)
-        return subprocess.run(["git", *words], **options).stdout.strip()
+        return subprocess.run(["git", "--no-optional-locks", *words], **options).stdout.strip()
 
     try:
         git("ls-files", "--error-unmatch", here.name)
@@ -118,20 +118,20 @@ def starts(folder):
         return [*json.loads(path.read_text())["starts"]]
 
 
-def record(env_cfg, cfg, command, numerics, earlier=()):
+def record(env_cfg, cfg, words, numerics, earlier=()):
     """What config.json says: both Configs, and one more entry about this start.
 
-    command: its words; numerics: of `jax_setup`; earlier: entries of earlier starts
+    words: of its command line; numerics: of `jax_setup`; earlier: entries of earlier starts
     """
     machine = f"{platform.machine()}, {os.cpu_count()} cores, python {platform.python_version()}"
-    about = dict(command=shlex.join(command), commit=commit(), machine=machine)
-    about |= dict(cores=go1_env.CORES, jax=numerics)
-    return dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, about])
+    start = dict(command=shlex.join(words), commit=commit(), machine=machine)
+    start |= dict(cores=go1_env.CORES, jax=numerics)
+    return dict(env=asdict(env_cfg), learner=asdict(cfg), starts=[*earlier, start])
 
 
-def save_config(folder, about):
-    """Write config.json; about: what `record` returned."""
-    text = json.dumps(about, indent=1) + "\n"
+def save_config(folder, recorded):
+    """Write config.json; recorded: what `record` returned."""
+    text = json.dumps(recorded, indent=1) + "\n"
     replace_file(folder / "config.json", lambda file: file.write(text.encode()))
 
 
@@ -152,13 +152,13 @@ def of_the_robot():
     return scales | dict(q_nominal=go1.Q_NOMINAL, kp=go1.KP, kd=go1.KD)
 
 
-def save_policy(path, params, env_cfg, about):
+def save_policy(path, params, env_cfg, origin):
     """Write policy.npz; params: as in `networks.py`.
 
-    about: what it says of its training, by name, as policy.Policy has it, but for the robot
+    origin: {name: value} of its iteration, algo, lam and seed
     """
     layers = {net: params[net].layers for net in ("actor", "estimator")}
-    about = about | dict(robot=robot.digest())
+    about = origin | dict(robot=robot.digest())
     pi = policy.Policy(**layers, **of_the_robot(), config=asdict(env_cfg), about=about)
     replace_file(path, lambda file: policy.save(file, pi))
 
@@ -193,4 +193,6 @@ def load_policy(path):
             raise ValueError(f"its robot has another {', '.join(other)}")
         env_cfg = read_config(pi.config)
         robot.refuse_other_digest(path, pi.about["robot"])
+        if missing := {"iteration", "algo", "lam", "seed"} - pi.about.keys():
+            raise ValueError(f"it does not say its {', '.join(sorted(missing))}")
         return pi, env_cfg

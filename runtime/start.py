@@ -63,6 +63,10 @@ def run_path(options, env_cfg, cfg):
 
 def refuse_used(folder):
     """Refuse a folder that already holds a run, unless it is to go on."""
+    if folder.exists() and not folder.is_dir():
+        raise Refused(f"{folder} is a file: choose another --out")
     if found := [name for name in run_folder.FILES if (folder / name).exists()]:
-        again = "--resume it, or " * ("checkpoint.npz" in found)
-        raise Refused(f"{folder} already holds {found[0]} of a run: {again}choose another --out")
+        again = "--resume it" if "checkpoint.npz" in found else "delete it, as it cannot go on"
+        raise Refused(
+            f"{folder} already holds {found[0]} of a run: {again}, or choose another --out"
+        )

@@ -198,7 +198,7 @@ def test_final_obs_at_a_time_limit():
     env = make(episode_steps=3, noise=1.0)
     for k in (1, 2, 3):
         obs, _, _, truncated, info = env.step(np.full((2, 12), float(k)))
-        assert same_bits([obs], env.observe()[:1])
+        assert same_bits([obs, info["privileged"]], env.observe())
         assert truncated.tolist() == info["log"]["ended_limit"].tolist() == [k == 3] * 2
         final = info["final_obs"], info["final_privileged"]
         alike = [same_bits([x], [now]) for x, now in zip(final, env.observe(), strict=True)]
@@ -213,11 +213,14 @@ def test_first_episodes_are_staggered():
     """Robots end their first episodes of 8 steps at all times, each once, not in a wave. Of 256
     none starts at one of 8 ages with a chance of 8 (7/8)^256 = 1e-14.
 
-    The first observation shows the age of an episode: not all clocks stand at 0.
+    The first observation shows the age of an episode: not all clocks stand at 0. A command that
+    begins at age 4 of 6 is to last 2 steps.
     """
     env = make(256, stagger=True, episode_steps=8)
     assert set(env.state.age.tolist()) == set(range(8))
     assert len(np.unique(env.reset(0)[0][:, -1])) >= 4
+    cut = make(256, stagger=True, episode_steps=6, command_steps=4)
+    assert (cut.state.planned[cut.state.age == 4] == 2).all()
     ends = np.array([still(env)[3] for _ in range(8)])
     assert (ends.sum(0) == 1).all() and ends.any(1).all()
 
@@ -288,7 +291,7 @@ def test_reset_pose():
     +- 0.5 m/s and rad/s with any yaw. Without spread all is nominal and at rest.
 
     By MuJoCo's own kinematics the lowest foot is on the ground: no robot is thrown up by contact,
-    or falls first.
+    or falls first. With twice the spread some have a knee below their feet, 2 cm above the ground.
     """
     env = make(64)
     low, high = np.tile([[-0.863, -0.686, -2.818], [0.863, 4.501, -0.888]], 4)
@@ -300,6 +303,9 @@ def test_reset_pose():
     assert yaw.min() < -0.9 and yaw.max() > 0.9 and not env.qpos[:, [0, 1, 4, 5]].any()
     for qpos in env.qpos[:8]:
         assert soles(qpos).min() == pytest.approx(0.0, abs=1e-12)
+    wide = make(256, start_spread=1.0).qpos
+    lowest = wide[:, 2] + go1.leg_points(wide[:, 7:])[..., 2].min(-1)
+    assert lowest == pytest.approx(np.full(256, 0.02))
     calm = make(start_spread=0.0)
     assert (calm.qpos[:, 7:] == NOMINAL).all() and not calm.qvel.any()
 

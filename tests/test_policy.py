@@ -113,6 +113,8 @@ def test_what_no_go1_measures_has_failed(tmp_path, page):
     for bad in (
         (page["gravity"](0, 0, 0, 0), command, q, qd),
         ([0, 0, -9.81], command, q, qd),
+        ([0, 0, -0.75], command, q, qd),
+        ([0, 0, -1.25], command, q, qd),
         (down, command, np.degrees(q), qd),
         (down, command, q.reshape(4, 3).T.ravel(), qd),
         (down, command, q, np.full(12, -101.0)),
@@ -176,6 +178,7 @@ OF_ANOTHER_WORLD = {
     "q_nominal": lambda path: change_npz(path, q_nominal=np.zeros(12)),
     "another robot": lambda path: with_settings(path, lambda c: c | dict(about=dict(robot="0"))),
     "friction": lambda path: with_settings(path, lambda c: c.pop("friction") and c),
+    "algo": lambda path: with_settings(path, lambda c: c["about"].pop("algo") and c),
     "moonlight": lambda path: with_settings(path, lambda c: c | dict(moonlight=1)),
     "moon": lambda path: with_settings(path, lambda c: c | dict(task="moon")),
 }

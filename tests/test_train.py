@@ -347,6 +347,15 @@ def test_who_trained_while_another_got_ready_keeps_its_run(finished, tmp_path, c
     assert contents(folder) == contents(finished)
 
 
+def test_a_file_is_no_run_folder_and_what_cannot_go_on_may_be_deleted(tmp_path, capsys):
+    path = tmp_path / "config.json"
+    path.write_text("{}")
+    assert "is a file" in error_of(capsys, train.main, *FLAGS, "--out", path)
+    assert "delete it, as it cannot go on" in error_of(
+        capsys, train.main, *FLAGS, "--out", tmp_path
+    )
+
+
 def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch):
     def no_locks(*_):
         raise OSError(errno.ENOLCK, "No locks available")
@@ -469,8 +478,20 @@ def without_a_setting(path):
             lambda path: path.write_text(path.read_text().replace("reward", "mine", 1)),
             "has other columns",
         ),
+        (
+            "metrics.csv",
+            lambda path: path.write_text("".join(path.read_text().splitlines(True)[:-1])),
+            "it ends before iteration",
+        ),
     ],
-    ids=["missing", "of an older learner", "truncated", "without its record", "other columns"],
+    ids=[
+        "missing",
+        "of an older learner",
+        "truncated",
+        "without its record",
+        "other columns",
+        "a row short",
+    ],
 )
 def test_what_cannot_be_resumed_is_one_line_and_loses_nothing(copied, capsys, file, damage, says):
     damage(copied / file)

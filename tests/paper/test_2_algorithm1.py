@@ -152,6 +152,11 @@ def test_algorithm1_line08_the_critic_learns_lam_f_and_line_8_mixes_f():
             assert found.reshape(48, heads) == pytest.approx(expected)
 
 
+def test_the_log_leaves_out_what_is_not_known():
+    assert eipo.mean(np.array([[np.nan, 1], [3, np.nan]])) == 2
+    assert np.isnan(eipo.mean([np.nan]))
+
+
 def test_algorithm1_line06_rollout_acts_with_fresh_noise_and_knows_its_density():
     """At mean 0 and deviation 1 the actions are the noise, 48 different numbers in 3 steps of 16
     robots, and log density is -a^2 / 2 - log(2 pi) / 2.
@@ -392,7 +397,8 @@ def test_algorithm1_line12_line13_gets_the_gap_and_line_9_its_alpha(with_effort,
     states = run(two, six, replace(EIPO, reward_scale=0.5))
     assert gaps == [metrics["gap"] for _, metrics in states[1:]] == pytest.approx([-2, -2])
     for _, metrics in states[1:]:
-        assert metrics["J"] == pytest.approx(1)
+        assert (metrics["J"], metrics["prime_J"]) == pytest.approx((1, 3))
+        assert metrics["lr"] == metrics["prime_lr"] == pytest.approx(EIPO.lr)
         assert (metrics["reward"], metrics["prime_reward"]) == (2, 6)
     assert [state.dual for state, _ in states] == [Dual(0.25, 0), Dual(64, 7), Dual(64, 7)]
     assert [metrics["alpha"] for _, metrics in states[1:]] == [0.25, 64]
@@ -404,12 +410,12 @@ def test_algorithm1_line12_line13_gets_the_gap_and_line_9_its_alpha(with_effort,
 
 @pytest.mark.parametrize("algo", ["eipo", "ppo"])
 def test_algorithm1_learns_nothing_from_what_is_not_finite(algo):
-    """D36. Every reward is NaN: 2 iterations x 4 epochs x 2 minibatches are skipped, and alpha
-    stays where it is.
+    """D36. Every reward is NaN: 5 iterations x 4 epochs x 2 minibatches are skipped, as many as
+    there are, and alpha stays where it is.
     """
     env, env_prime = Probe(lambda x, t, a: np.nan * x, effort), Probe(near_half, effort)
-    (start, _), _, (end, log) = run(env, env_prime if algo == "eipo" else None)
-    assert log["skipped"] == 2 * 4 * 2 and log.get("prime_skipped", 0) == 0  # pi' learns on
+    (start, _), *_, (end, log) = run(env, env_prime if algo == "eipo" else None, iterations=5)
+    assert log["skipped"] == 5 * 4 * 2 and log.get("prime_skipped", 0) == 0  # pi' learns on
     assert trees_equal(start.pi.params, end.pi.params)
     assert start.dual == end.dual == (Dual(0.25, 0) if algo == "eipo" else None)
 
