@@ -37,7 +37,7 @@ class MLP:
 def policy(params, obs):
     """Mean and standard deviation (..., A) of the action for obs (..., D), and estimated (..., P).
 
-    What the estimator estimates is privileged, the true velocity of the body. The actor sees the
+    The estimator estimates what is privileged, the true velocity of the body. The actor sees the
     estimate, but the estimator learns from its own error alone (D19).
     """
     estimated = params["estimator"](obs)
