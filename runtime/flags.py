@@ -170,7 +170,7 @@ def check(options, env_cfg, cfg):
         what = f"--num-envs is {cfg.num_envs}: {policies} policies have equal shares"
         raise Refused(f"{what}, so it must be a multiple of {policies}")
     if samples < 2:
-        what = "a policy has one sample, whose normalised advantage is 0"
+        what = "a policy needs two samples, since the normalised advantage of one is 0"
         raise Refused(f"--num-envs is {cfg.num_envs}, and --num-steps {cfg.num_steps}: {what}")
     if samples < cfg.num_minibatches:
         raise Refused("--num-minibatches is greater than num_steps * num_envs of each policy")

@@ -87,7 +87,7 @@ def rows_until(done, path):
         header, *lines = path.read_text().splitlines()
         kept = [line for line in lines if int(line.split(",")[0]) <= done]
         if not kept or int(kept[-1].split(",")[0]) < done:
-            raise ValueError(f"it ends before iteration {done}, to which the checkpoint goes")
+            raise Refused(f"{path} ends before iteration {done} of the checkpoint: move it away")
         return [header, *kept]
 
 

@@ -147,7 +147,7 @@ def of_the_trunk(*case):
         ("--lr 0.01", "or --target-kl 0"),
         ("--hidden-estimator 8 3", "is odd"),
         ("--num-envs 3", "a multiple of 2"),
-        ("--num-envs 2 --num-steps 1", "a policy has one sample"),
+        ("--num-envs 2 --num-steps 1", "a policy needs two samples"),
         ("--algo ppo --num-envs 3 --num-steps 1 --num-minibatches 4", "--num-minibatches is"),
     ],
 )
