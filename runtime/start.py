@@ -66,6 +66,6 @@ def refuse_used(folder):
     if folder.exists() and not folder.is_dir():
         raise Refused(f"{folder} is a file: choose another --out")
     if found := [name for name in run_folder.FILES if (folder / name).exists()]:
-        again = "--resume it" if "checkpoint.npz" in found else "delete what cannot go on"
+        again = "--resume it" if "checkpoint.npz" in found else "empty the folder"
         line = f"{folder} already holds {found[0]} of a run"
         raise Refused(f"{line}: choose another --out, or {again}")

@@ -347,11 +347,11 @@ def test_who_trained_while_another_got_ready_keeps_its_run(finished, tmp_path, c
     assert contents(folder) == contents(finished)
 
 
-def test_a_file_is_no_run_folder_and_what_cannot_go_on_may_be_deleted(tmp_path, capsys):
+def test_a_file_is_no_run_folder_and_what_cannot_go_on_may_go(tmp_path, capsys):
     path = tmp_path / "config.json"
     path.write_text("{}")
     assert "is a file" in error_of(capsys, train.main, *FLAGS, "--out", path)
-    assert "delete what cannot" in error_of(capsys, train.main, *FLAGS, "--out", tmp_path)
+    assert "or empty the folder" in error_of(capsys, train.main, *FLAGS, "--out", tmp_path)
 
 
 def test_a_file_system_without_locks_is_a_warning(tmp_path, capsys, monkeypatch):
