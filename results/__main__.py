@@ -38,7 +38,7 @@ def save_picture(figure, file):
     whole = io.BytesIO()
     figure.savefig(whole, dpi=150, format="png")
     with Image.open(whole) as image:
-        few = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+        few = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
     few.save(file, "PNG", optimize=True)
 
 
