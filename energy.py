@@ -54,9 +54,9 @@ def total_power(torque, qd, clip):
     return mechanical_power(torque, qd, clip) + heating_power(torque) + BATTERY
 
 
-def energy_cost(torque, qd, clip):
-    """The auxiliary cost f of Eq. (3) [W]: r_energy of Eq. (9), power less the bonus of 200."""
-    return total_power(torque, qd, clip) - SURVIVAL
+def energy_cost(power):
+    """The auxiliary cost f of Eq. (3) [W]: r_energy of Eq. (9), total_power less the bonus."""
+    return power - SURVIVAL
 
 
 def smoothness_cost(torque, action, qdd):

@@ -265,8 +265,7 @@ class Go1Env:
         power, cost = self._power_and_cost(substeps)
         forbidden = go1.ALL_BUT_FEET if self.task.only_feet else go1.TRUNK_TO_THIGHS
         contact = substeps.touched[:, forbidden].any(-1)  # however lightly it touches
-        max_power = np.inf if self.env_cfg.max_power is None else self.env_cfg.max_power
-        overload = (power > max_power) & ~contact
+        overload = (power > (self.env_cfg.max_power or np.inf)) & ~contact
         return Outcome(reward, task_reward, cost, power, contact, overload)
 
     def _count(self, velocity, outcome):
@@ -293,11 +292,13 @@ class Go1Env:
         # a torque changes the speed during a physics step, so take the mean of before and after
         # (D17)
         qd = (substeps.qd[:-1] + substeps.qd[1:]) / 2
-        power = energy.total_power(substeps.torque, qd, self.env_cfg.clip).mean(0)
+        power = energy.total_power(substeps.torque, qd, self.env_cfg.clip)
         if self.env_cfg.aux == "smooth":
             qdd = self._acceleration(substeps)
-            return power, energy.smoothness_cost(substeps.torque, self.state.action, qdd).mean(0)
-        return power, energy.energy_cost(substeps.torque, qd, self.env_cfg.clip).mean(0)
+            cost = energy.smoothness_cost(substeps.torque, self.state.action, qdd)
+        else:
+            cost = energy.energy_cost(power)
+        return power.mean(0), cost.mean(0)
 
     def _acceleration(self, substeps):
         """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""

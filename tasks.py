@@ -139,9 +139,14 @@ class Task(NamedTuple):
 LAMBDAS = (0, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # Eq. (10), the weights of PPO
 ITERATIONS = dict(flat=4000, rough=4000, velocity=10_000)  # of the paper's runs [V-A], [V-B], [V-D]
 
-# Alpha has one clock (D38). The paper's step 0.01 and momentum 0.99 are for runs of 4000 iterations
-# (`velocity`: 10 000). In a run that is k times shorter, alpha's step is 0.01 k^2, and its momentum
-# 1 - 0.01 k. No length is printed for `curriculum`, which has those of `flat`.
+
+def alpha_clock(k):
+    """Alpha's step and momentum in a run that is k times shorter than the paper's, which has 0.01
+    and 0.99: the clock runs k times faster (D38).
+    """
+    return dict(lr_alpha=round(0.01 * k**2, 3), momentum_alpha=round(1 - 0.01 * k, 3))
+
+
 TASKS = {
     "flat": Task(
         "walk at up to 1 m/s on flat ground",
@@ -150,9 +155,8 @@ TASKS = {
         world=dict(history=5),  # [V-A]
         learner=dict(
             lam=0.005,  # [V-A]
-            iterations=600,  # [ours] of 4000 [V-A], so k = 6.7
-            lr_alpha=0.444,  # 0.01 k^2 (D38)
-            momentum_alpha=0.933,  # 1 - 0.01 k (D38)
+            iterations=600,  # [ours]
+            **alpha_clock(4000 / 600),  # [V-A]
         ),
     ),
     "rough": Task(
@@ -166,9 +170,8 @@ TASKS = {
         ),
         learner=dict(
             lam=0.0002,  # [V-B]
-            iterations=600,  # [ours] of 4000, so k = 6.7
-            lr_alpha=0.444,  # 0.01 k^2 (D38)
-            momentum_alpha=0.933,  # 1 - 0.01 k (D38)
+            iterations=600,  # [ours]
+            **alpha_clock(4000 / 600),  # [V-B]
         ),
     ),
     "velocity": Task(
@@ -181,10 +184,9 @@ TASKS = {
         ),
         learner=dict(
             lam=0.0002,  # [V-D]
-            iterations=1000,  # [ours] of 10 000, so k = 10
+            iterations=1000,  # [ours]
+            **alpha_clock(10_000 / 1000),  # [V-D]
             num_envs=128,  # [ours] (D9)
-            lr_alpha=1.0,  # 0.01 k^2 (D38)
-            momentum_alpha=0.9,  # 1 - 0.01 k (D38)
         ),
         only_feet=True,  # [IV-A.3]
         torque_speed=True,  # [V-D]
@@ -212,8 +214,7 @@ TASKS = {
         learner=dict(
             lam=0.005,  # [V-E]
             iterations=2000,  # [ours]
-            lr_alpha=0.444,  # [ours] that of `flat` (D38)
-            momentum_alpha=0.933,  # [ours] that of `flat` (D38)
+            **alpha_clock(4000 / 600),  # [ours] that of `flat`, as no length is printed
         ),
         only_feet=True,  # [IV-A.4]
     ),

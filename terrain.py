@@ -77,5 +77,5 @@ def wrap(xy, index):
 
 def height(ground, xy):
     """Height (...,) [m] of the field `ground` at xy (..., 2) [m], linear between its points."""
-    flat = xy.reshape(-1, 2).T / SPACING
-    return map_coordinates(ground, flat[::-1], order=1, mode="nearest").reshape(xy.shape[:-1])
+    row_column = xy.reshape(-1, 2).T[::-1] / SPACING  # flat, because SciPy takes no single point
+    return map_coordinates(ground, row_column, order=1, mode="nearest").reshape(xy.shape[:-1])

@@ -36,9 +36,9 @@ def style(kind):
     """
     shade = sum(kind.lam > x for x in (0, 5e-4, 2e-3, 5e-3))
     color = colormaps["YlOrBr"]((0.3, 0.45, 0.6, 0.78, 1.0)[shade])
-    is_plain = (kind.aux, kind.reward, kind.other) == ("energy", "paper", ())
-    look = dict(color=BLUE if kind.algo == "eipo" else color, linestyle="-" if is_plain else "--")
-    return look | dict(marker="os^v<>pPX"[sum(kind.lam >= x for x in LAMBDAS[1:])])
+    marker = "os^v<>pPX"[sum(kind.lam >= x for x in LAMBDAS[1:])]
+    line = "-" if kind.is_plain else "--"
+    return dict(color=BLUE if kind.algo == "eipo" else color, marker=marker, linestyle=line)
 
 
 def panels_of(names, num_rows, width=4.0, height=3.0, sharex="col", **options):
@@ -281,7 +281,7 @@ def alpha(runs):
     figure, panels = panels_of(groups, 1, sharey=True)
     for group, (axes,) in panels:
         for kind, arm in groups[group].items():
-            if kind.algo == "ppo" and kind.lam > 0 and not kind.other:
+            if kind.algo == "ppo" and kind.lam > 0 and kind.is_plain:
                 score = np.mean([run.numbers[score_of(group)] for run in arm])
                 power = np.mean([run.numbers["power"] for run in arm])
                 axes.axhline(1 / kind.lam, color="black", linestyle=":", linewidth=1)
@@ -308,11 +308,11 @@ def weights(runs):
 
     Dots are runs of PPO, open ones those that do not walk, and a line joins their means. An arrow
     is a run of EIPO, from the lambda with which it starts to the one at its end. In the grey band
-    PPO scores as well as with the best weight, within the margin. PPO with other settings, or
-    another reward, is left out.
+    PPO scores as well as with the best weight, within the margin. Another reward or cost is left
+    out, and PPO with other settings.
     """
-    runs = [run for run in runs if run.kind.reward == "paper"]
-    runs = [run for run in runs if run.kind.algo == "eipo" or not run.kind.other]
+    runs = [run for run in runs if (run.kind.aux, run.kind.reward) == ("energy", "paper")]
+    runs = [run for run in runs if run.kind.algo == "eipo" or run.kind.is_plain]
     if not runs:
         raise Refused("none of these runs is of EIPO, or of PPO with the usual settings")
     groups, rows = by_group(runs), []

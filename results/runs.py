@@ -100,7 +100,7 @@ def usual_settings(task, iterations):
     settings = asdict(tasks.task_config(task)) | asdict(eipo.Config(**tasks.TASKS[task].learner))
     if task in tasks.ITERATIONS:
         k = tasks.ITERATIONS[task] / max(iterations, settings["iterations"])  # it may be stopped
-        settings |= dict(lr_alpha=round(0.01 * k**2, 3), momentum_alpha=round(1 - 0.01 * k, 3))
+        settings |= tasks.alpha_clock(k)
     return json.loads(json.dumps(settings | dict(power_formula=evaluate.CLIP)))
 
 
@@ -111,15 +111,16 @@ def read(path):
     """The Run in a file."""
     with run_folder.reading(path):
         kept = json.loads(path.read_text())
-        asked = kept["asked"]
-        tasks.TASKS[asked["env"]["task"]]  # which may be of somebody else's code
-        settings = asked["env"] | asked["learner"] | dict(power_formula=asked["power_formula"])
+        config = kept["asked"]
+        tasks.TASKS[config["env"]["task"]]  # which may be of somebody else's code
+        settings = config["env"] | config["learner"]
+        settings["power_formula"] = config["power_formula"]
         did = columns_of(kept["did"])
         parts = [("pi", 0), ("pi", 1), ("prime", 0)]
         parts = [where((did["policy"] == who) & (did["nominal"] == x), did) for who, x in parts]
         others = [columns_of(kept.get(name)) for name in ("episodes", "speed", "reached")]
         learned = columns_of(kept["learned"])
-        return Run(path.stem, settings, asked["starts"], learned, *parts, *others)
+        return Run(path.stem, settings, config["starts"], learned, *parts, *others)
 
 
 def read_all(places):
@@ -219,8 +220,8 @@ def inside(v_x, yaw, cells):
 
     v_x, yaw: (n,) [m/s], [rad/s]; those of GRID are corners of cells
     """
-    asked = ((v_x, cells["v_x"]), (yaw, cells["yaw"]))
-    near = [np.abs(x[:, None] - middle) <= tasks.Grid.CELL / 2 for x, middle in asked]
+    pairs = (v_x, cells["v_x"]), (yaw, cells["yaw"])
+    near = [np.abs(x[:, None] - middle) <= tasks.Grid.CELL / 2 for x, middle in pairs]
     return np.logical_and(*near).any(1)
 
 
@@ -235,8 +236,8 @@ def add(folders, results=RESULTS, num_episodes=None):
     """
     found = {}
     for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):
-        asked, learned, policies = learned_by(folder)
-        settings = asked["env"] | asked["learner"]
+        config, learned, policies = learned_by(folder)
+        settings = config["env"] | config["learner"]
         path = results / settings["task"] / f"{folder.name}.json"
         if path in found:
             raise Refused(f"{found[path][0]} and {folder} have one name: rename one of them")
@@ -244,16 +245,16 @@ def add(folders, results=RESULTS, num_episodes=None):
             kept = read(path).settings | dict(iterations=settings["iterations"])  # it may go on
             if other := differing(kept, settings):
                 raise Refused(f"{path} has another {other}: rename {folder}")
-        found[path] = folder, asked, learned, policies
+        found[path] = folder, config, learned, policies
     for place in {path.parent for path in found}:
         place.mkdir(parents=True, exist_ok=True)
         if not os.access(place, os.W_OK):
             raise Refused(f"{place} cannot be written: give another --results")
-    for path, (folder, asked, learned, policies) in found.items():
-        kept = dict(asked=asked, learned=table_of(thinned(learned)))
-        kept |= played(policies, asked["env"]["task"], num_episodes)
-        if asked["env"]["task"] == "curriculum":
-            kept["reached"] = table_of(reached_by(folder, asked["learner"]["iterations"]))
+    for path, (folder, config, learned, policies) in found.items():
+        kept = dict(asked=config, learned=table_of(thinned(learned)))
+        kept |= played(policies, config["env"]["task"], num_episodes)
+        if config["env"]["task"] == "curriculum":
+            kept["reached"] = table_of(reached_by(folder, config["learner"]["iterations"]))
         text = text_of(kept) + "\n"
         run_folder.replace_file(path, lambda file, text=text: file.write(text.encode()))
         say(f"{folder.name}: {len(kept['did']) - 1} commands and starts, now in {path}")
@@ -266,9 +267,8 @@ def learned_by(folder):
     """
     names = [name for name in ("policy", "policy_prime") if (folder / f"{name}.npz").exists()]
     loaded = {name: run_folder.load_policy(folder / f"{name}.npz") for name in names or ["policy"]}
-    about, *prime = (pi.about | pi.config for pi, _ in loaded.values())
-    if prime not in ([], [about]):
-        other = differing(about, prime[0])
+    about, *rivals = (pi.about | pi.config for pi, _ in loaded.values())
+    if other := ", ".join(differing(about, x) for x in rivals):
         raise Refused(f"{folder}: pi and pi' have another {other}: --resume the run")
     with run_folder.reading(path := folder / "config.json"):
         config = json.loads(path.read_text())
@@ -329,9 +329,9 @@ def played(policies, task, num_episodes=None):
     policies: of `learned_by`; num_episodes: as in `add`
     """
     parts, tables = [], {}
-    numbers = NUM_EPISODES.get(task, (990, 110, 330))
+    counts = NUM_EPISODES.get(task, (990, 110, 330))
     cases = [("policy", False), ("policy", True), ("policy_prime", False)]
-    for (name, nominal), n in zip(cases, numbers, strict=True):
+    for (name, nominal), n in zip(cases, counts, strict=True):
         if name in policies:
             pi, env_cfg = policies[name]
             e, v_x = play(pi, env_cfg, nominal, num_episodes or n)
@@ -351,8 +351,8 @@ def play(pi, env_cfg, nominal, n):
     """
     is_grid = env_cfg.task == "curriculum"
     commands = GRID if is_grid else evaluate.commands_of(env_cfg.task)
-    asked = np.repeat(commands, math.ceil(n / len(commands)), 0)
-    env = evaluate.make_env(evaluate.evaluation_config(env_cfg, nominal=nominal), asked)
+    commands = np.repeat(commands, math.ceil(n / len(commands)), 0)
+    env = evaluate.make_env(evaluate.evaluation_config(env_cfg, nominal=nominal), commands)
     thigh = []  # the angle (N,) [rad] of the right front one in each step
 
     def watched(obs):
@@ -360,10 +360,9 @@ def play(pi, env_cfg, nominal, n):
         return pi.mean(obs)
 
     episodes, v_x = evaluate.run_episodes(watched, env)
-    e = dict(zip(ASKED, asked.T, strict=True)) | episodes._asdict()
+    e = dict(zip(ASKED, commands.T, strict=True)) | episodes._asdict()
     if env_cfg.task == "velocity":
-        period = env_cfg.timestep * env_cfg.physics_steps
-        e["strides"] = strides_of(np.where(np.isnan(v_x), np.nan, thigh), period)
+        e["strides"] = strides_of(np.where(np.isnan(v_x), np.nan, thigh), env.period)
     return e, v_x
 
 

@@ -12,7 +12,7 @@ from runtime.kinds import Kind
 def short(places):
     """Yields a table for each group of runs, with a line for each kind: what pages show."""
     for group, kinds in by_group(read_all(places)).items():
-        rows = {kind: cells_of(group, kind, arm) for kind, arm in kinds.items()}
+        rows = {kind: row_of(group, kind, arm) for kind, arm in kinds.items()}
         yield from lines_of(group, rows, num_columns=4)
         yield ""
 
@@ -26,7 +26,7 @@ def table(places):
     for group, kinds in by_group(read_all(places)).items():
         best, rows = best_ppo(group, kinds), {}
         for kind, arm in with_primes(kinds).items():
-            rows[kind] = cells_of(group, kind, arm) | {"less best PPO [95 %]": ""}
+            rows[kind] = row_of(group, kind, arm) | {"less best PPO [95 %]": ""}
             if best:
                 less = compare(scores_of(group, arm), scores_of(group, kinds[best]))
                 rows[kind]["less best PPO [95 %]"] = "best" if kind == best else str(less)
@@ -48,7 +48,7 @@ def readme(places):
         }
         shown |= {str(kind): kind for kind in (Kind("eipo", 0.005), Kind("eipo", 0.02))}
         shown = {name: kind for name, kind in shown.items() if kind in kinds}
-        rows = {name: cells_of(group, kind, kinds[kind]) for name, kind in shown.items()}
+        rows = {name: row_of(group, kind, kinds[kind]) for name, kind in shown.items()}
         yield from lines_of("", rows, num_columns=3)
         return
     raise Refused("none of these runs is of PPO on flat ground")
@@ -63,10 +63,10 @@ def lines_of(heading, rows, num_columns=None):
         yield f"| {' | '.join((str(name), *(cells[x] for x in columns)))} |"
 
 
-def cells_of(group, kind, arm):
+def row_of(group, kind, arm):
     """What the runs of a kind did, as {column: text}."""
     did = [run.numbers for run in arm]
-    scores, starts = scores_of(group, arm), [run.nominal["fell"] for run in arm if run.nominal]
+    scores, falls = scores_of(group, arm), [run.nominal["fell"] for run in arm if run.nominal]
     energy = np.mean([x["J/m"] for x in did])
     has_alpha = kind.algo == "eipo" and not kind.prime
     alphas = [run.learned["alpha"][-1] for run in arm] if has_alpha else []
@@ -75,7 +75,7 @@ def cells_of(group, kind, arm):
         "power [W]": f"{np.mean([x['power'] for x in did]):.0f}",
         "runs that walk": f"{sum(run.walks for run in arm)}/{len(arm)}",
         "fell [%]": f"{100 * np.mean([x['fell'] for x in did]):.1f}",
-        "from nominal": f"{100 * np.mean(starts):.1f}" if starts else "",
+        "from nominal": f"{100 * np.mean(falls):.1f}" if falls else "",
         "energy [J/m]": f"{energy:.0f}" if np.isfinite(energy) else "a run stands",
         "last alpha": ", ".join(f"{x:.0f}" for x in alphas),
         "each seed": ", ".join(f"{x:.3f}" for x in scores),
@@ -89,7 +89,7 @@ def scores_of(group, arm):
 
 def plain_ppo(kinds):
     """The kinds of PPO with the paper's reward and the usual settings."""
-    return [kind for kind in kinds if kind == Kind("ppo", kind.lam)]
+    return [kind for kind in kinds if kind.algo == "ppo" and kind.is_plain]
 
 
 def best_ppo(group, kinds):

@@ -156,16 +156,16 @@ def check(options, env_cfg, cfg):
         steps = f"control steps of {period:g} s, --timestep times --physics-steps,"
         what = f"{steps} show a clock of at most {0.5 / period:g} Hz"
         raise Refused(f"--clock-hz is {env_cfg.clock_hz}: {what}")
-    policies = 2 if cfg.algo == "eipo" else 1
-    samples = cfg.num_steps * cfg.num_envs // policies
-    units = cfg.hidden + cfg.hidden_estimator
     if cfg.lam < FACTOR["at least"] and (cfg.algo == "eipo" or cfg.lam):
         why = "EIPO starts at alpha = 1 / lam, and only --algo ppo takes 0"
         raise Refused(f"--lam is {cfg.lam:g}: it must be at least {FACTOR['at least']}; {why}")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
         raise Refused(f"--lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
+    units = cfg.hidden + cfg.hidden_estimator
     if cfg.mirror and any(n % 2 for n in units):
         raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
+    policies = 2 if cfg.algo == "eipo" else 1
+    samples = cfg.num_steps * cfg.num_envs // policies
     if cfg.num_envs % policies:
         what = f"--num-envs is {cfg.num_envs}: {policies} policies have equal shares"
         raise Refused(f"{what}, so it must be a multiple of {policies}")

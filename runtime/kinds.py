@@ -23,6 +23,11 @@ class Kind(NamedTuple):
     other: tuple = ()  # words for further settings that are not the usual ones
     prime: bool = False  # pi' of a run of EIPO
 
+    @property
+    def is_plain(self):
+        """Whether it has the paper's reward, Eq. (9) and the usual settings."""
+        return (self.aux, self.reward, self.other) == ("energy", "paper", ())
+
     def __str__(self):
         name = f"PPO({self.lam:g})" if self.algo == "ppo" else f"EIPO from {self.lam:g}"
         name += " smooth" * (self.aux == "smooth") + " shaped" * (self.reward == "shaped")

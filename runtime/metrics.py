@@ -2,6 +2,7 @@
 
 Columns of metrics.csv, means over the robots and steps of an iteration where nothing else is said:
 
+iteration                      [-] of Algorithm 1
 steps                          [-] control steps of all robots so far
 J, gap, alpha, task_share      of Algorithm 1: J(pi), J(pi) - J(pi'), alpha, and std(alpha A_r) over
                                std(alpha A_r) + std(A_f), for PPO with 1 / lambda as alpha
@@ -22,7 +23,7 @@ clip_fraction                  share of samples whose ratio is beyond 1 +- clip_
 kl, std                        how far pi moved in this iteration, and its exploration noise
 lr, skipped                    Adam's step size, and updates skipped so far, as not finite
 prime_...                      the same of pi'
-time_s, steps_per_s            since this process began: seconds, and control steps a second
+time_s, steps_per_s            since training began here: seconds, and control steps a second
 """
 
 import os

@@ -62,7 +62,7 @@ def run_path(options, env_cfg, cfg):
 
 
 def refuse_used(folder):
-    """Refuse a folder that already holds a run, unless it is to go on."""
+    """Refuse a folder that already holds a run."""
     if folder.exists() and not folder.is_dir():
         raise Refused(f"{folder} is a file: choose another --out")
     if found := [name for name in run_folder.FILES if (folder / name).exists()]:

@@ -31,7 +31,7 @@ COLOURS = dict(FR=ORANGE, RL=ORANGE, FL=BLUE, RR=BLUE)  # of the legs
 
 
 def make_scene(env):
-    """Model and data to draw env with. The robot's tile is repeated, as far as one sees."""
+    """Model and data to draw env with. Its ground is one tile, repeated as far as one sees."""
     ground = env.ground
     if ground is not None:
         margin = round(terrain.APRON / terrain.SPACING)
@@ -49,7 +49,7 @@ def show(env, model, data):
     """Put the drawn robot where the simulated one is, on the middle tile."""
     data.qpos[:] = env.qpos[0]
     if env.ground is not None:
-        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.origin(env.state.tile[0])
+        data.qpos[:2] += AROUND // 2 * terrain.TILE - terrain.APRON
     mujoco.mj_forward(model, data)
 
 

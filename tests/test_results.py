@@ -461,7 +461,8 @@ def test_peaks_over_strides():
 
 def test_alpha_over_iterations_beside_one_over_lambda():
     """PPO(0.005), which scores 1.25 on 100 W, has the objective of an alpha of 200."""
-    some = seeds([1.4]) + ppo(0.005, [1.25]) + ppo(0, [1.5]) + ppo(0.01, [1.2], num_envs=512)
+    some = seeds([1.4]) + ppo(0.005, [1.25]) + ppo(0, [1.5])
+    some += ppo(0.01, [1.2], num_envs=512) + ppo(0.01, [1.2], aux="smooth")  # these have no line
     rows, figure = figures.alpha(some)
     assert [(row["iteration"], row["alpha"]) for row in rows] == [
         (10, 9000),
@@ -469,7 +470,7 @@ def test_alpha_over_iterations_beside_one_over_lambda():
         (600, 250),
     ]
     dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
-    assert [line.get_ydata()[0] for line in dotted] == [200]  # PPO with 512 robots has no line
+    assert [line.get_ydata()[0] for line in dotted] == [200]
     assert [text.get_text() for text in figure.axes[0].texts] == [" PPO(0.005):\n 1.25 on 100 W"]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["EIPO from 0.005"]
 
@@ -481,7 +482,8 @@ def test_weights_have_a_dot_for_ppo_and_an_arrow_for_eipo():
     some = ppo(0, [1.4, 1.5], [400, 400]) + ppo(0.0001, [1.3])
     for run, v_x in zip(some, (0.25, 0.26), strict=False):
         run.did["v_x"] = np.array([v_x])
-    other = ppo(0.005, [1.5], num_envs=128)  # which is left out
+    other = ppo(0.005, [1.5], num_envs=128) + ppo(0.01, [1.6], reward="shaped")  # are left out,
+    other += ppo(0.01, [1.6], aux="smooth") + seeds([1.6], aux="smooth")  # and these
     rows, figure = figures.weights([*some, *other, *seeds([1.44], [200], lam=0.02)])
     assert (rows[0]["lam"], rows[0]["lam_end"]) == (0.02, 0.005)
     axes = figure.axes[0]

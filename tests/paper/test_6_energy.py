@@ -61,9 +61,10 @@ def test_eq09_survival_bonus(clip, cost):
 
     Without torque 42 W are left, and the cost of 42 - 200 = -158 makes living on pay.
     """
-    assert energy.energy_cost(joints(2.0, -4.0), joints(3.0, 2.0), clip) == cost
-    idle = np.zeros(12), np.full(12, 7.0), clip
-    assert (energy.total_power(*idle), energy.energy_cost(*idle)) == (42.0, -158.0)
+    power = energy.total_power(joints(2.0, -4.0), joints(3.0, 2.0), clip)
+    assert energy.energy_cost(power) == cost
+    idle = energy.total_power(np.zeros(12), np.full(12, 7.0), clip)
+    assert (idle, energy.energy_cost(idle)) == (42.0, -158.0)
 
 
 @pytest.mark.go1

@@ -158,9 +158,9 @@ def test_mirror_of_the_nominal_pose_and_of_the_energy(clip, is_alike):
     assert np.array_equal(reflect(NOMINAL, OF_JOINTS), NOMINAL)
     assert np.array_equal(reflect(np.arange(12.0), OF_JOINTS), SIGNS * np.arange(12.0)[JOINTS])
     torque, qd = 8 * np.random.default_rng(0).normal(size=(2, 12))
-    cost = energy.energy_cost(torque, qd, clip)
-    image = energy.energy_cost(reflect(torque, OF_JOINTS), reflect(qd, OF_JOINTS), clip)
-    assert (image == pytest.approx(cost)) == is_alike
+    power = energy.total_power(torque, qd, clip)
+    image = energy.total_power(reflect(torque, OF_JOINTS), reflect(qd, OF_JOINTS), clip)
+    assert (image == pytest.approx(power)) == is_alike
 
 
 def test_mirror_of_an_observation():
