@@ -73,22 +73,14 @@ def test_curriculum_is_asked_for_at_most_1_metre_per_second():
 
 
 def test_no_seed_of_training_draws_what_evaluation_draws():
-    """Environments of training have seeds below 2^33, and those of their ground are smaller. NumPy
-    fills seeds with zeros, so that (2024, 0) would draw what 2024 draws: 1012 * 2.
-    """
-    ours = np.random.SeedSequence(evaluate.SEED).generate_state(4).tolist()
-    for seed in (2024, 2024 + 2**32, evaluate.SEED % 2**33, evaluate.SEED % 2**64):
-        assert np.random.SeedSequence(seed).generate_state(4).tolist() != ours
+    """Environments of training have seeds below 2^33, and those of their ground are smaller."""
     assert evaluate.SEED >= 2**33
 
 
 def test_what_stands_in_the_way_is_one_line(folder, asked, capsys):
     assert "nowhere/policy.npz" in error_of(capsys, evaluate.main, folder, "nowhere")
     assert not asked  # nothing was played before
-    with pytest.raises(SystemExit, match="2"):
-        evaluate.main([str(folder), "--episodes", "0"])
-    (said,) = capsys.readouterr().err.splitlines()
-    assert "--episodes is 0" in said
+    assert "--episodes is 0" in error_of(capsys, evaluate.main, folder, "--episodes", "0")
 
 
 def test_prime_is_the_rival(tmp_path, asked, capsys):

@@ -15,7 +15,6 @@ import go1
 import go1_env
 import policy
 import tasks
-from networks import MLP
 from runtime import run_folder
 
 SCALE = 0.25 * np.tile([0.5, 1.0, 1.0], 4)  # rad per unit of action
@@ -73,18 +72,6 @@ def test_a_sensor_that_fails_is_forgotten(tmp_path):
     assert np.array_equal(pi.act(*good), first)
     pi.mean = lambda obs: np.full(12, np.nan)
     assert np.array_equal(pi.act(*good), NOMINAL) and not pi.action.any()
-
-
-@pytest.mark.go1
-def test_a_policy_says_what_it_is_of(tmp_path):
-    """In its JSON beside the settings of its world."""
-    path, about = tmp_path / "policy.npz", dict(iteration=7, algo="eipo", lam=0.005, seed=3)
-    made, env_cfg = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
-    params = dict(actor=MLP(made.actor), estimator=MLP(made.estimator))
-    run_folder.save_policy(path, params, env_cfg, about)
-    pi, same = run_folder.load_policy(path)
-    assert pi.about == about | dict(robot=run_folder.robot.digest())
-    assert pi.config == made.config and same == env_cfg
 
 
 GOOD = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)

@@ -149,13 +149,6 @@ def test_each_policy_is_saved_under_its_own_name_and_mirrored(finished, tmp_path
         assert np.array_equal(pi.actor[1][0], last) and not is_mirrored(pi)
 
 
-def test_equal_seeds_equal_runs(finished, tmp_path):
-    run("--out", tmp_path / "same")
-    assert rows(tmp_path / "same") == rows(finished)[:3]
-    run("--seed", 1, "--out", tmp_path / "other")
-    assert rows(tmp_path / "other")[2] != rows(finished)[2]
-
-
 @pytest.mark.parametrize(
     "flags",
     [
@@ -392,14 +385,6 @@ def test_a_run_is_never_overwritten_and_keeps_its_settings(finished, capsys, fla
     assert says in error_of(capsys, train.main, "--out", finished, *flags)
     resume(finished)  # there is nothing left to train, so nothing is recorded
     assert contents(finished) == before
-
-
-def test_any_file_of_a_run_is_kept(tmp_path, capsys):
-    for name in run_folder.FILES:
-        (tmp_path / name).mkdir()
-        assert name in error_of(capsys, train.main, *TINY, "--out", tmp_path)
-        (tmp_path / name).rmdir()
-    assert not [*tmp_path.iterdir()]
 
 
 def test_a_device_that_jax_does_not_have_is_one_line(tmp_path):

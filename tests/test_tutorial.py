@@ -29,7 +29,7 @@ if __name__ == "__main__":
     sys.path[:0] = str(ROOT), str(ROOT / "tests")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-from support import TINY
+from support import HAS_GL, TINY
 
 import evaluate
 import play
@@ -203,7 +203,7 @@ def copied(copy):
 
 def test_the_new_task_trains_as_the_page_says(tmp_path):
     """Section 12, done to the letter: function, entry and test appended, one iteration trained. The
-    evaluation asks it to turn.
+    evaluation asks it to turn, and the other commands take it, too.
     """
     copy = copied(tmp_path / "copy")
     (block,) = [code for code in blocks("python") if "def turn(" in code]
@@ -223,7 +223,8 @@ def test_the_new_task_trains_as_the_page_says(tmp_path):
     evaluated = [sys.executable, "evaluate.py", "run", "--episodes", "11"]
     kept = [sys.executable, "-m", "results", "add", "run", "--results", "kept", "--episodes", "11"]
     shown = [sys.executable, "-m", "results", "table", "kept/turn"]
-    for command in (tested, trained, evaluated, kept, shown):
+    played = [sys.executable, "play.py", "run", "--gif", "a.gif", "--seconds", "0.1"]
+    for command in (tested, trained, evaluated, kept, shown, *[played] * HAS_GL):
         done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
     kept = json.loads((copy / "kept/turn/run.json").read_text())

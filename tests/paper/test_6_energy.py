@@ -12,30 +12,20 @@ def joints(*values):
     return np.array([*values, *[0.0] * (12 - len(values))])
 
 
-@pytest.mark.parametrize(("clip", "power"), [("torque", 0.0), ("power", 3.0)])
-def test_eq09_mechanical(clip, power):
-    """D3. tau = (2, -5) and qd = (3, 2):
-
-    as printed:     2 * 3 +    (-3) * 2  = 0
-    power clipped:  2 * 3 + max(-10, -3) = 3
-    """
-    assert energy.mechanical_power(joints(2.0, -5.0), joints(3.0, 2.0), clip) == power
-
-
-@pytest.mark.parametrize(("clip", "power"), [("torque", 12.0), ("power", 20.0)])
-def test_eq09_mechanical_of_a_joint_driven_backwards(clip, power):
-    """D3. A motor that works, at tau = -5 and qd = -4:
-
-    as printed:     (-3) (-4) = 12
-    power clipped:  (-5) (-4) = 20
-    """
-    assert energy.mechanical_power(joints(-5.0), joints(-4.0), clip) == power
-
-
-@pytest.mark.parametrize(("clip", "power"), [("torque", 20000.0), ("power", 10000.0)])
-def test_eq09_mechanical_upper_bound(clip, power):
-    """tau = 2e4 and qd = 2. The torque is cut to 1e4, the power of 4e4 to 1e4."""
-    assert energy.mechanical_power(joints(2e4), joints(2.0), clip) == power
+@pytest.mark.parametrize(
+    ("torque", "qd", "by_torque", "by_power"),
+    [
+        ((2.0, -5.0), (3.0, 2.0), 6 - 3 * 2, 6 - 3),
+        ((-5.0,), (-4.0,), 3 * 4, 5 * 4),
+        ((2e4,), (2.0,), 1e4 * 2, 1e4),
+    ],
+    ids=["brakes", "is driven backwards", "is beyond the upper bound"],
+)
+def test_eq09_mechanical(torque, qd, by_torque, by_power):
+    """D3. A torque below -3 N m is cut to -3 as printed, or a power below -3 W, and at 1e4 both."""
+    torque, qd = joints(*torque), joints(*qd)
+    assert energy.mechanical_power(torque, qd, "torque") == by_torque
+    assert energy.mechanical_power(torque, qd, "power") == by_power
 
 
 @pytest.mark.parametrize("leg", range(4), ids=["FR", "FL", "RR", "RL"])
@@ -68,26 +58,23 @@ def test_eq09_survival_bonus(clip, cost):
 
 
 @pytest.mark.go1
-@pytest.mark.parametrize(("clip", "expected"), [("torque", -170.8), ("power", -149.8)])
-def test_eq09_cost_of_a_step(clip, expected):
+@pytest.mark.parametrize(
+    ("clip", "expected", "ends"), [("torque", -170.8, False), ("power", -149.8, True)]
+)
+def test_eq09_cost_of_a_step(clip, expected, ends):
     """A hip on target at 8 rad/s has tau = -0.5 * 8 = -4:
 
     as printed:     (-3) 8 + 0.7 * 16 + 42 - 200 = -170.8
     power clipped:      -3 + 0.7 * 16 + 42 - 200 = -149.8
+
+    D41. So it draws 29.2 or 50.2 W, and a limit of 40 W ends the episode by the second.
     """
-    env = make(1, clip=clip, **FROZEN)
-    place(env, qd=[8.0] + [0.0] * 11)
-    info = still(env)[4]
-    assert info["cost"] == pytest.approx([expected], abs=1e-3)
-    assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
-
-
-@pytest.mark.parametrize(("clip", "ends"), [("torque", False), ("power", True)])
-def test_the_limit_of_power_clips_as_eq09(clip, ends):
-    """D41. The robot of the test above draws 29.2 W by the print, and 50.2 W by power."""
     env = make(1, clip=clip, max_power=40.0, **FROZEN)
     place(env, qd=[8.0] + [0.0] * 11)
-    assert still(env)[2].tolist() == [ends]
+    _, _, terminated, _, info = still(env)
+    assert terminated.tolist() == [ends]
+    assert info["cost"] == pytest.approx([expected], abs=1e-3)
+    assert info["log"]["power"] == pytest.approx([expected + 200], abs=1e-3)
 
 
 @pytest.mark.go1
