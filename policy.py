@@ -33,6 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 
 NUMBERS = ("frame_scale", "q_nominal", "action_scale", "kp", "kd")
+# what lies beyond these is no measurement of a Go1, but a sensor that fails, or another unit
+LENGTH = 0.8, 1.2  # [-] of gravity, which has length 1
+REACH = np.tile([1.5, 4.0, 1.5], 4)  # [rad] of joint angles from q_nominal
+FASTEST = 100.0  # [rad/s] of joints
 
 
 @dataclass
@@ -65,8 +69,8 @@ class Policy:
 
         It leaves `estimate`, `action` and `failed` behind. The networks see the last H frames, the
         oldest first; at the start all of them are the first one. If a number is not finite, or
-        gravity is 0, a sensor has `failed`, and the last frame is seen once more; until there is
-        one, the target is the pose of action 0. Only a wrong shape is an error, a ValueError: a
+        cannot be of a Go1, a sensor has `failed`, and the last frame is seen once more; until there
+        is one, the target is the pose of action 0. Only a wrong shape is an error, a ValueError: a
         robot whose program stops falls.
         """
         given = dict(gravity=(gravity, 3), command=(command, 3), q=(q, 12), qd=(qd, 12))
@@ -74,13 +78,15 @@ class Policy:
             if np.shape(x) != (width,):
                 raise ValueError(f"{name} has the shape {np.shape(x)}, and not ({width},)")
         gravity, command, q, qd = (np.asarray(x, float) for x, _ in given.values())
-        period = self.config["timestep"] * self.config["physics_steps"]
-        phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
-        clock = [np.sin(phase), np.cos(phase)]
-        down = gravity / (math.hypot(*gravity) or np.nan)
-        frame = np.concatenate([down, command, q - self.q_nominal, qd, self.action, clock])
-        self.failed = not np.isfinite(frame).all()
+        length, pose = math.hypot(*gravity), q - self.q_nominal
+        turns = (abs(pose) <= REACH).all() and (abs(qd) <= FASTEST).all()  # never if one is NaN
+        is_down = LENGTH[0] <= length <= LENGTH[1]
+        self.failed = not (is_down and turns and np.isfinite(command).all())
         if not self.failed:
+            period = self.config["timestep"] * self.config["physics_steps"]
+            phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
+            clock = [np.sin(phase), np.cos(phase)]
+            frame = np.concatenate([gravity / length, command, pose, qd, self.action, clock])
             seen = (frame * self.frame_scale).astype(np.float32)
         elif self.frames:
             seen = self.frames[-1]

@@ -13,6 +13,7 @@ from support import NOMINAL, ROOT, error_of, make_run
 import evaluate
 import go1
 import go1_env
+import policy
 import tasks
 from runtime import run_folder
 
@@ -89,19 +90,29 @@ def test_each_input_has_its_width(tmp_path):
         pi.act(*GOOD[:3], 0.0)
 
 
-def test_what_is_not_finite_has_failed_and_so_has_a_silent_imu(tmp_path, page):
-    """Its quaternion is 0. Gravity is made 1, whatever its unit: (0, 6, -8) is 10 times that."""
+@pytest.mark.go1
+def test_what_no_go1_measures_has_failed(tmp_path, page):
+    """A silent IMU, acceleration for gravity, degrees, joints that are sorted by kind, and a sensor
+    that jumps. A gravity that is about 1 is made 1, and no command that is finite fails.
+    """
     pi, _ = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
     down, command, q, qd = GOOD
     for bad in (
         (page["gravity"](0, 0, 0, 0), command, q, qd),
+        ([0, 0, -9.81], command, q, qd),
+        ([0, 0, -0.75], command, q, qd),
+        ([0, 0, -1.25], command, q, qd),
+        (down, command, np.degrees(q), qd),
+        (down, command, q.reshape(4, 3).T.ravel(), qd),
+        (down, command, q, np.full(12, -101.0)),
         (down, [0.5, np.nan, 0], q, qd),
         (down, command, [None] * 12, qd),
-        (down, command, q, np.full(12, np.inf)),
     ):
         assert np.array_equal(pi.act(*bad), NOMINAL) and pi.failed and not pi.frames
-    pi.act([0, 6, -8], command, q, qd)
+    pi.act([0, 0.63, -0.84], [1000, 0, 0], q, qd)  # 3 and 4 times 0.21: length 1.05
     assert not pi.failed and pi.frames[-1][:3] == pytest.approx([0, 0.6, -0.8])
+    low, high = go1.build_model(0.005, ground=None).jnt_range[1:].T
+    assert (low > NOMINAL - policy.REACH).all() and (high < NOMINAL + policy.REACH).all()
 
 
 def test_the_clock_goes_on_while_a_sensor_fails(tmp_path):
