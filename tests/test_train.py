@@ -387,6 +387,15 @@ def test_a_run_is_never_overwritten_and_keeps_its_settings(finished, capsys, fla
     assert contents(finished) == before
 
 
+def test_any_file_of_a_run_is_kept(finished, tmp_path, capsys):
+    """Those that a run leaves, but for its picture and its lock."""
+    for name in contents(finished).keys() - {"curves.png", "lock"}:
+        (tmp_path / name).mkdir()
+        assert name in error_of(capsys, train.main, *TINY, "--out", tmp_path)
+        (tmp_path / name).rmdir()
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_device_that_jax_does_not_have_is_one_line(tmp_path):
     command = [sys.executable, ROOT / "train.py", *FLAGS, "--out", tmp_path / "run"]
     options = dict(env=os.environ | dict(JAX_PLATFORMS="cuda"), timeout=SECONDS)
