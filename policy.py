@@ -79,9 +79,9 @@ class Policy:
                 raise ValueError(f"{name} has the shape {np.shape(x)}, and not ({width},)")
         gravity, command, q, qd = (np.asarray(x, float) for x, _ in given.values())
         length, pose = math.hypot(*gravity), q - self.q_nominal
-        turns = (abs(pose) <= REACH).all() and (abs(qd) <= FASTEST).all()  # never if one is NaN
-        is_down = LENGTH[0] <= length <= LENGTH[1]
-        self.failed = not (is_down and turns and np.isfinite(command).all())
+        gravity_fits = LENGTH[0] <= length <= LENGTH[1]  # no comparison holds for NaN
+        joints_fit = (abs(pose) <= REACH).all() and (abs(qd) <= FASTEST).all()
+        self.failed = not (gravity_fits and joints_fit and np.isfinite(command).all())
         if not self.failed:
             period = self.config["timestep"] * self.config["physics_steps"]
             phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps

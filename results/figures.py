@@ -247,7 +247,10 @@ def table1(runs):
 
 
 def strides(runs):
-    """Peak velocity over strides a second, a dot for each run, and for each pi' an open one."""
+    """Peak velocity over strides a second, a dot for each run, and for each pi' an open one.
+
+    Other settings than the usual ones have a black edge.
+    """
     groups, rows = by_group(runs, "velocity"), []
     figure, panels = panels_of(groups, 1)
     for group, (axes,) in panels:
@@ -255,6 +258,7 @@ def strides(runs):
             x, y = ([run.did[name][0] for run in arm] for name in ("strides", "peak"))
             look = style(kind) | dict(linestyle="", markersize=5)
             look |= dict(markerfacecolor="none") if kind.prime else {}
+            look |= {} if kind.is_plain else dict(markeredgecolor="black")
             axes.plot(x, y, label=str(kind), **look)
             for run, strides, peak in zip(arm, x, y, strict=True):
                 about = dict(group=group, kind=kind, run=run.name)
