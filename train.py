@@ -23,7 +23,7 @@ import mirror
 import networks
 import tasks
 from runtime import checkpoint, jax_setup, metrics, run_folder, start
-from runtime.cli import Refused, StopRequest, program, say, warn
+from runtime.cli import Refused, StopRequest, program, say, signals_given_back, warn
 from runtime.flags import Options, parse
 
 
@@ -100,7 +100,7 @@ def main(argv):
     options = Options(**given_options)
     folder, env_cfg, cfg = start.begin(options, *given)
     envs = make_envs(env_cfg, cfg, options.threads)
-    with run_folder.lock(folder):
+    with run_folder.lock(folder), signals_given_back():
         if not options.resume:  # another process may have trained here meanwhile
             start.refuse_used(folder)
         iteration = train(folder, envs, cfg, options, ["python", "train.py", *argv])

@@ -81,9 +81,9 @@ def main(argv):
 
 def draw(name, some, out):
     """Draw a figure of Runs into the folder `out`, in our style, whatever the user's is."""
-    out.mkdir(parents=True, exist_ok=True)
     matplotlib.rcdefaults()
     rows, figure = getattr(figures, name)(some)
+    out.mkdir(parents=True, exist_ok=True)
     picture = out / f"{name}.png"
     run_folder.replace_file(picture, lambda file: save_picture(figure, file))
     run_folder.replace_file(picture.with_suffix(".csv"), lambda file: save_rows(rows, file))

@@ -221,6 +221,8 @@ def table1(runs):
         kinds = groups[group]
         for at, (kind, arm) in enumerate(kinds.items()):
             seeds = [run.episodes["peak"] for run in arm]
+            if len(np.concatenate(seeds)) < 2:
+                raise Refused(f"{kind} has one episode, and an interval needs more")
             low, high = stats.bootstrap(
                 [np.concatenate(seeds)],
                 evaluate.iqm,
@@ -347,7 +349,8 @@ def draw_weights(axes, rows, column, colors):
 
     colors: {other settings of EIPO: its colour}
     """
-    zero = LAMBDAS[1] / 3  # where 0 stands on an axis that is logarithmic
+    some = (x for row in rows for x in (row["lam"], row["lam_end"]) if x > 0)
+    zero = min([LAMBDAS[1], *some]) / 3  # where 0 stands on an axis that is logarithmic
     fixed = [row for row in rows if row["kind"].algo == "ppo"]
     lams = sorted({row["lam"] for row in fixed})
     means = [np.mean([row[column] for row in fixed if row["lam"] == lam]) for lam in lams]
@@ -364,7 +367,7 @@ def draw_weights(axes, rows, column, colors):
         if kind.algo == "eipo":
             label = ", ".join(["EIPO", *kind.other])
             color = colors[kind.other]
-            end = min(max(row["lam_end"], zero), 10 * max(LAMBDAS))
+            end = row["lam_end"] if np.isfinite(row["lam_end"]) else 10 * max(LAMBDAS)
             look = dict(color=color, arrowstyle="-|>", shrinkA=0, shrinkB=0)
             axes.annotate("", (end, row[column]), (row["lam"], row[column]), arrowprops=look)
             axes.plot(row["lam"], row[column], "|", color=color)

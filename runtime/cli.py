@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from operator import ge, gt, le, lt
 from pathlib import Path
 
@@ -15,6 +15,8 @@ COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # all are F
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # a float still counts these one by one
 A_SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits: 2**32 would draw what 0 does
+# of which Windows has two
+SIGNALS = [getattr(signal, x) for x in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, x)]
 NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 # how the C++ of JAX and MuJoCo says that memory is full, in exceptions of any type
 NO_MEMORY = re.compile("bad_alloc|out of memory|RESOURCE_EXHAUSTED|Caught an unknown exception!")
@@ -96,8 +98,7 @@ def a_path(text):
 def is_place_for(path, suffix):
     """Whether a file of this kind can be written there; path: a Path that somebody gave."""
     is_file = path.suffix.lower() == suffix and not path.is_dir()
-    folder = path.resolve().parent
-    return is_file and folder.is_dir() and os.access(folder, os.W_OK)
+    return is_file and path.parent.is_dir() and os.access(path.parent, os.W_OK)
 
 
 def tuples(settings):
@@ -160,6 +161,17 @@ def program(name):
     return wrap
 
 
+@contextmanager
+def signals_given_back():
+    """Give signals back to who had them before: a script may train several runs."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)  # None: of a library in C++
+
+
 class StopRequest:
     """From now on the first signal makes `requested` True, and a second Ctrl-C or SIGTERM ends the
     process.
@@ -170,9 +182,9 @@ class StopRequest:
 
     def __init__(self):
         self.requested = False
-        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", None)):
+        for number in SIGNALS:
             # a script's `&` lets it ignore SIGINT, and nohup SIGHUP
-            if number and signal.getsignal(number) != signal.SIG_IGN:
+            if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self.hear)
 
     def hear(self, number, _):

@@ -30,6 +30,6 @@ class Kind(NamedTuple):
 
     def __str__(self):
         name = f"PPO({self.lam:g})" if self.algo == "ppo" else f"EIPO from {self.lam:g}"
-        name += " smooth" * (self.aux == "smooth") + " shaped" * (self.reward == "shaped")
+        name += "".join(f" {x}" for x in (self.aux, self.reward) if x not in ("energy", "paper"))
         name = ", ".join([name, *self.other])
         return f"pi' of {name}" if self.prime else name

@@ -19,7 +19,10 @@ FELT_GEOMS = [f"{leg}_{part}" for part in ("calf", "foot") for leg in go1.LEGS]
 
 def refuse_other_model():
     """Raise Refused, with the first difference, if go1.xml and go1.py are not of one robot."""
-    model = go1.build_model(timestep=0.005, ground=None)
+    try:
+        model = go1.build_model(timestep=0.005, ground=None)
+    except ValueError as error:
+        raise Refused(f"go1.xml: {' '.join(str(error).split())}") from None
     for what, found, wanted in names(model):
         for i, (x, y) in enumerate(zip_longest(found, wanted, fillvalue="missing")):
             if x != y:

@@ -56,7 +56,8 @@ def resumed(folder, options, given):
 
 def run_path(options, env_cfg, cfg):
     """The run folder: what --out says, or a name of task, algorithm, lambda, variant and seed."""
-    variant = "".join(f"-{x}" for x in (env_cfg.aux, env_cfg.reward) if x in ("smooth", "shaped"))
+    others = (x for x in (env_cfg.aux, env_cfg.reward) if x not in ("energy", "paper"))
+    variant = "".join(f"-{x}" for x in others)
     name = f"{env_cfg.task}-{cfg.algo}-lam{cfg.lam:g}{variant}-seed{cfg.seed}"
     return options.out or Path(f"runs/{name}")
 

@@ -162,6 +162,7 @@ OTHERS = [  # a case for each check of robot.py: what is done to go1.xml, and wh
         edited('size="0.02"', 'size="0.023"'),
         "FOOT_RADIUS [m] of FR_foot is 0.023",
     ),
+    (edited('axis="1 0 0"', 'axs="1 0 0"'), "go1.xml: XML Error"),
     (edited('axis="1 0 0"', 'axis="-1 0 0"'), "at 1 * Q_NOMINAL the place [m] of FR_knee is"),
 ]
 

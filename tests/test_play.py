@@ -220,13 +220,16 @@ def test_flags_that_make_no_sense_are_one_line(capsys, given, says):
     assert says in error_of(capsys, play.main, "nowhere", *given.split())
 
 
-@pytest.mark.parametrize("name", ["a.mp4", "missing/a.gif", "folder.gif", "closed/a.gif"])
+@pytest.mark.parametrize(
+    "name", ["a.mp4", "missing/a.gif", "folder.gif", "closed/a.gif", "closed/link.gif"]
+)
 def test_a_gif_is_refused_before_it_is_drawn_unless_it_can_be_one(
     capsys, tmp_path, monkeypatch, name
 ):
     """Drawing takes a while. To root, who may run the tests, no folder is closed."""
     (tmp_path / "folder.gif").mkdir()
     (tmp_path / "closed").mkdir()
+    (tmp_path / "closed/link.gif").symlink_to(tmp_path / "a.gif")
     monkeypatch.setattr(os, "access", lambda path, mode: path.name != "closed")
     says = error_of(capsys, play.main, "nowhere", "--gif", tmp_path / name)
     assert "must end in .gif, in a folder that exists and can be written to" in says

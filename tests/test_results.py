@@ -74,6 +74,7 @@ FAST = dict(task="velocity")
         (dict(algo="ppo", lam=0.0, lr_alpha=7), "PPO(0)"),  # which it does not read
         (dict(lam=0.02), "EIPO from 0.02"),
         (dict(lam=0.005, aux="smooth"), "EIPO from 0.005 smooth"),
+        (dict(lam=0.005, aux="mine"), "EIPO from 0.005 mine"),
         (dict(num_envs=512, lr_alpha=0.5), "EIPO from 0.005, num_envs 512, lr_alpha 0.5"),
         (dict(power_formula="torque"), "EIPO from 0.005, power_formula torque"),
         (dict(gone=2, void=None), "EIPO from 0.005, gone 2"),  # settings that an older run had
@@ -442,6 +443,12 @@ def test_table1_has_interquartile_means_beside_the_papers():
     assert axes.lines[0].get_xdata().tolist() == [1.5, 5.5]
 
 
+def test_table1_of_one_episode_is_one_line():
+    run = made("s", "velocity")._replace(episodes=dict(peak=np.array([1.0])))
+    with pytest.raises(Refused, match="has one episode"):
+        figures.table1([run])
+
+
 def test_peaks_over_strides():
     """Of pi and, open, of pi' of each run; in `made` both do the same."""
     some = [made("e", "velocity", strides=[6.0], peak=[4.0])]
@@ -491,6 +498,17 @@ def test_weights_have_a_dot_for_ppo_and_an_arrow_for_eipo():
     assert np.allclose([*start.get_xydata(), *end.get_xydata()], [[0.02, 1.44], [0.005, 1.44]])
     (band,) = axes.patches
     assert np.allclose([band.get_y(), band.get_y() + band.get_height()], [1.42, 1.45])
+
+
+def test_weights_stand_where_they_are_and_0_and_infinity_beside_them():
+    """0 at a third of 0.00001. 1 / ((1 + 3) / 2) = 0.5, and where alpha ends at 0, it is 0.2."""
+    some = ppo(0, [1.4]) + ppo(1e-5, [1.4]) + seeds([1.4], lam=0.02) + seeds([1.4], lam=0.04)
+    for run, alpha in zip(some[2:], ([1, 3], [0, 0]), strict=True):
+        run.learned["alpha"][1:] = alpha
+    _, figure = figures.weights(some)
+    line, _, *ends = figure.axes[0].lines
+    assert np.allclose(line.get_xdata(), [1e-5 / 3, 1e-5])
+    assert np.allclose([x.get_xdata()[0] for x in ends], [0.02, 0.5, 0.04, 0.2])
 
 
 def test_weights_on_velocity_are_of_peaks():
@@ -696,8 +714,9 @@ def test_pictures_do_not_depend_on_the_users_own_style(tmp_path):
     draw = "import pathlib; from runtime.metrics import draw_curves"
     draw += f"; draw_curves(pathlib.Path({str(tmp_path)!r}))"
     alpha = "-m", "results", "alpha", "results/flat", "--out", str(tmp_path)
+    page = "from tutorial.figures import *; draw('a', curves(('x', 'y', [1], {'z': [2]})))"
     env = os.environ | dict(MPLBACKEND="module://nobody_has.this", MATPLOTLIBRC=str(tmp_path))
-    for words in (("-c", draw), alpha):
+    for words in (("-c", draw), alpha, ("-c", page)):
         subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=True)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     with Image.open(tmp_path / "alpha.png") as image:
@@ -711,7 +730,7 @@ def test_pictures_do_not_depend_on_the_users_own_style(tmp_path):
     ("argv", "says"),
     [
         (["fig2", "nobody.json"], "nobody.json: No such file or directory"),
-        (["alpha", str(RESULTS / "flat/flat-ppo-lam0-seed10.json")], "EIPO, which alone"),
+        (["alpha", str(RESULTS / "flat/flat-ppo-lam0-seed10.json"), "--out", "new"], "which alone"),
         (["add", "nowhere"], "nowhere/policy.npz: No such file or directory"),
         (["table", "empty"], "empty holds no run"),
         (["table", "half.json"], "half.json is damaged"),

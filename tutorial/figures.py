@@ -9,6 +9,7 @@ computes them. Their background is white, so that they can be read on a dark pag
 import tempfile
 from pathlib import Path
 
+import matplotlib
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,7 +17,8 @@ from matplotlib.figure import Figure
 import go1
 from results import runs
 
-FOLDER = Path(tempfile.gettempdir()) / "eipo-tutorial"
+matplotlib.rcdefaults()  # the user's style may need LaTeX
+FOLDER = Path(tempfile.mkdtemp(prefix="eipo-tutorial-"))
 # colours that colour-blind readers can tell apart
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 STYLES = [(BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (RED, ":")]
@@ -54,7 +56,6 @@ def curves(*drawn):
 
 def draw(name, figure):
     """Write a figure to NAME.png in FOLDER."""
-    FOLDER.mkdir(exist_ok=True)
     metadata = dict(Software=None, Description=numbers(figure))
     figure.savefig(FOLDER / f"{name}.png", dpi=100, facecolor="white", metadata=metadata)
 
