@@ -72,7 +72,7 @@ class Transition(NamedTuple):
     """One step of N robots, (N, ...). tau of Algorithm 1 is T of them, (T, N, ...)."""
 
     obs: np.ndarray  # (N, D)
-    privileged: np.ndarray  # (N, P) true body velocity, for the critic; the actor estimates it
+    privileged: np.ndarray  # (N, P) true body velocity, for the critic and the estimator
     action: np.ndarray  # (N, A)
     log_prob: np.ndarray  # (N,) of the action, under the policy that chose it
     reward: np.ndarray  # (N,) r of the step

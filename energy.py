@@ -1,9 +1,9 @@
 """What a step costs: the power model of Eq. (9) and the smoothness cost of Eq. (11).
 
 Sections IV-B and V-E. Both are *costs*: although the paper calls them rewards, positive is bad, and
-the learner weighs them against the task in `eipo.py`. How torques come about is in `go1.py`. Every
-function takes any leading batch shape and reduces the last axis, which is the twelve joints in the
-order FR, FL, RR, RL x hip, thigh, calf:
+the learner weighs them against the task in `eipo.py`. How torques come about is in `go1.py`.
+Torques and speeds have any leading batch shape. Their last axis, which is reduced, is the twelve
+joints in the order FR, FL, RR, RL x hip, thigh, calf:
 
     torque  (..., 12) [N m]    of the joints
     qd      (..., 12) [rad/s]  of the joints

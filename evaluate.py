@@ -26,8 +26,8 @@ import tasks
 from runtime import run_folder
 from runtime.cli import COUNT, Parser, a_path, misfit, program
 
-# of the evaluation's episodes and their ground. Those of training, 2 * seed + 1 and --ground-seed,
-# are below 2**33, so none of them draws the same.
+# of the episodes and of their ground. The seeds of training, 2 * seed + 1 and --ground-seed, are
+# below 2**33, so training never draws the same.
 SEED = 2**64 + 2024
 CLIP = "power"  # what Eq. (9) clips for every policy, whatever it was trained with (D3)
 EPISODE_STEPS = 1000  # control steps, Section V-A
@@ -132,7 +132,7 @@ def iqm(x, axis=None):
 def commands_of(task):
     """The commands (n, 3) [m/s, m/s, rad/s] of an evaluation [Figs. 2 to 4].
 
-    They are 0, 1/10, ..., 1 of the task's example. It is a single one if the task asks for nothing.
+    They are 0, 1/10, ..., 1 of the task's example, or a single 0 if the task asks for nothing.
     """
     example = tasks.TASKS[task].commands().example
     return np.arange(11)[:, None] / 10 * example if example.any() else np.zeros((1, 3))
@@ -159,9 +159,8 @@ def numbers(e):
 def interval(x):
     """95 % interval (low, high) of the mean of x (n, commands), n episodes of each, by Student's t.
 
-    Each command has equally many episodes, so differences between commands are not due to chance.
-    Only the variance within a command counts, with commands * (n - 1) degrees of freedom. The ends
-    are NaN if n is 1.
+    The commands are fixed, so differences between them are not due to chance. Only the variance
+    within a command counts, with commands * (n - 1) degrees of freedom. The ends are NaN if n is 1.
     """
     n, commands = x.shape
     if n < 2:
@@ -201,7 +200,7 @@ def main(argv):
     if line := misfit(vars(args), dict(episodes=COUNT)):
         parser.error(line)
     names = [folder.resolve().name for folder in args.runs]
-    if len({*names}) < len(names):  # folders of one name, so with the way to them
+    if len({*names}) < len(names):  # two folders have one name: show their paths
         names = args.runs
     loaded = [load(folder, args.clip, prime=args.prime) for folder in args.runs]
     for i, (pi, env_cfg) in enumerate(loaded):

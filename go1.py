@@ -27,10 +27,9 @@ Q_NOMINAL = np.array([-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0
 LINK = 0.213  # m, length of the thigh and of the calf [URDF]
 HIP_OFFSET = 0.08  # m, from the hip joint sideways to the thigh [URDF]
 FOOT_RADIUS = 0.02  # m [URDF]
-# entry i of the mirrored robot's joint angles is MIRROR_SIGN[i] q[MIRROR[i]]: right and left legs
+# (index, sign): angle i of the mirrored robot's joints is sign[i] q[index[i]]. Right and left legs
 # swap, hip angles change their sign
-MIRROR = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8])
-MIRROR_SIGN = np.tile([-1, 1, 1], 4)
+MIRROR = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]), np.tile([-1, 1, 1], 4)
 SIDE = np.array([-1.0, 1.0, -1.0, 1.0])  # right legs -1, left legs +1
 # m, where the hip joints are in the trunk's frame [URDF]
 HIP = np.array(

@@ -44,13 +44,12 @@ class Part(NamedTuple):
 # The observation, Section IV-C.a: the last H frames, oldest first, and right after a reset H times
 # the first one (D16). A frame is what a robot measures at one moment, its command, its previous
 # action and its clock. The mirrored robot's clock is half a period later, as in a trot.
-JOINTS = (go1.MIRROR, go1.MIRROR_SIGN)
 FRAME = dict(
     gravity=Part(([0, 1, 2], [1, -1, 1]), noise=0.05),  # direction of gravity, in the trunk's frame
     command=Part(([0, 1, 2], [1, -1, -1]), scale=[2, 2, 0.25]),  # v_x, v_y [m/s], yaw rate [rad/s]
-    q=Part(JOINTS, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
-    qd=Part(JOINTS, scale=0.05, noise=1.5),  # rad/s
-    previous_action=Part(JOINTS),
+    q=Part(go1.MIRROR, noise=0.01),  # rad, joint angles less those of Q_NOMINAL
+    qd=Part(go1.MIRROR, scale=0.05, noise=1.5),  # rad/s
+    previous_action=Part(go1.MIRROR),
     timing=Part(([0, 1], [-1, -1])),  # sin and cos of the timing reference
 )
 WIDTHS = [len(part.mirror[0]) for part in FRAME.values()]
@@ -106,9 +105,9 @@ class Go1Env:
         self.mirror = dict(  # (index, sign) of each part, in the order of the parts
             obs=[part.mirror for part in FRAME.values()] * env_cfg.history,
             privileged=[([0, 1, 2], [1, -1, 1])],
-            action=[JOINTS],
+            action=[go1.MIRROR],
         )
-        self.period = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
+        self.dt = env_cfg.timestep * env_cfg.physics_steps  # s, of a control step
         low, high = env_cfg.roughness
         levels = np.linspace(low, high, env_cfg.tiles) if env_cfg.tiles > 1 else np.array([high])
         self.ground = None
@@ -302,13 +301,13 @@ class Go1Env:
 
     def _acceleration(self, substeps):
         """Mean joint acceleration (N, 12) [rad/s^2] over a control step."""
-        return (substeps.qd[-1] - substeps.qd[0]) / self.period
+        return (substeps.qd[-1] - substeps.qd[0]) / self.dt
 
     def _shaped_reward(self, substeps, motion, velocity, action_before):
         """The shaped reward (N,)."""
         state = self.state
         touch = self.contacts[:, go1.FEET] > 0
-        landed = rewards.landings(state.off_ground, touch, self.period)
+        landed = rewards.landings(state.off_ground, touch, self.dt)
         ground = 0.0 if self.ground is None else terrain.height(self.ground, self.qpos[:, :2])
         gait = rewards.Gait(
             v_z=motion.linear[:, 2],
@@ -338,7 +337,7 @@ class Go1Env:
     def _frame(self, motion, ids=slice(None)):
         """A frame (n, FRAME_WIDTH) of the observation of the robots `ids`; motion: go1.Motion."""
         state = self.state
-        phase = 2 * np.pi * self.env_cfg.clock_hz * self.period * state.age[ids]
+        phase = 2 * np.pi * self.env_cfg.clock_hz * self.dt * state.age[ids]
         entries = dict(
             gravity=go1.felt_gravity(motion.to_world, state.gravity[ids]),
             command=state.command[ids],

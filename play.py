@@ -18,7 +18,8 @@ from dataclasses import replace
 def way_to_draw():
     """How MuJoCo can draw without a display: egl, osmesa or off.
 
-    EGL is often there without its driver, and a process can load only one of both. So others try.
+    EGL is often there without its driver, and a process can load only one of them, so child
+    processes try.
     """
     code = "import mujoco; mujoco.GLContext(8, 8).make_current()"
     for way in ("egl", "osmesa"):
@@ -66,7 +67,7 @@ def make_env(env_cfg, asked):
 def play(env, pi, seed=0):
     """Let a Policy drive the robot for ever. Yields the log of each control step.
 
-    seed: of all draws but the ground's heights, as in training
+    seed: of all draws but the ground, which is that of training
     """
     obs, _ = env.reset(seed)
     while True:
@@ -91,8 +92,8 @@ def draw(args, policies, envs, asked):
     """
     env, alone = envs[0], len(envs) == 1
     # of whole hundredths of a second, and at least two, since browsers show one as ten
-    hundredths = max(2, round(100 * max(1.0, args.slow or 4.0) * env.period))
-    slow = hundredths / (100 * env.period)
+    hundredths = max(2, round(100 * max(1.0, args.slow or 4.0) * env.dt))
+    slow = hundredths / (100 * env.dt)
     pace = "in real time" if slow == 1 else f"{slow:.3g} times slower"
     # of several runs, pictures that last less than 60 ms would make a large file
     size, every = (viewer.SIZE, 1) if alone else (viewer.PANEL, math.ceil(6 / hundredths))
@@ -150,7 +151,7 @@ def main(argv):
             raise Refused(f"{run} is of {env_cfg.task}, whose robots are not asked for a speed")
     asked = np.array(args.command or examples[0], float)
     envs = [make_env(env_cfg, asked) for env_cfg in configs]
-    if len({(env.period, x.any()) for env, x in zip(envs, examples, strict=True)}) > 1:
+    if len({(env.dt, x.any()) for env, x in zip(envs, examples, strict=True)}) > 1:
         what = "all must be asked for a command or none, and have control steps of one length"
         raise Refused(f"these runs do not go side by side: {what}")
     env, steps = envs[0], play(envs[0], policies[0], args.seed)

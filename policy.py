@@ -83,8 +83,8 @@ class Policy:
         joints_fit = (abs(pose) <= REACH).all() and (abs(qd) <= FASTEST).all()
         self.failed = not (gravity_fits and joints_fit and np.isfinite(command).all())
         if not self.failed:
-            period = self.config["timestep"] * self.config["physics_steps"]
-            phase = 2 * np.pi * self.config["clock_hz"] * period * self.steps
+            dt = self.config["timestep"] * self.config["physics_steps"]
+            phase = 2 * np.pi * self.config["clock_hz"] * dt * self.steps
             clock = [np.sin(phase), np.cos(phase)]
             frame = np.concatenate([gravity / length, command, pose, qd, self.action, clock])
             seen = (frame * self.frame_scale).astype(np.float32)
@@ -128,7 +128,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. If it holds none, that raises an Exception of one kind or another."""
+    """The Policy in a file. Raises ValueError, or an error of NumPy, JSON or zip, if it is none."""
     with open(path, "rb") as file, np.load(file) as archive:
         arrays = dict(archive)
     config = json.loads(str(arrays.pop("config")))

@@ -130,12 +130,12 @@ def shaped(velocity, command, gait):
     return np.maximum(sum(weight * terms[name] for name, weight in SHAPED.items()), 0.0)
 
 
-def landings(off_ground, touch, period):
+def landings(off_ground, touch, dt):
     """How long each foot that lands now was in the air, and 0 for the other feet: (N, 4) [s].
 
     off_ground: (N, 4) int, control steps since each foot touched the ground, before this step
     touch:      (N, 4) bool, which feet are on the ground now
-    period:     [s] of a control step
+    dt:     [s] of a control step
     A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].
     """
-    return np.where(touch & (off_ground > 1), off_ground * period, 0.0)
+    return np.where(touch & (off_ground > 1), off_ground * dt, 0.0)

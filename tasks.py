@@ -36,7 +36,7 @@ class Commands:
 
 
 class Range(Commands):
-    """Commands that are drawn uniformly, each component between 0 and that of the greatest."""
+    """Commands that are drawn uniformly, each component between 0 and its greatest value."""
 
     def __init__(self, *greatest):
         """greatest: v_x, v_y [m/s] and yaw rate [rad/s]"""
@@ -156,7 +156,7 @@ TASKS = {
         learner=dict(
             lam=0.005,  # [V-A]
             iterations=600,  # [ours]
-            **alpha_clock(4000 / 600),  # [V-A]
+            **alpha_clock(ITERATIONS["flat"] / 600),  # [V-A]
         ),
     ),
     "rough": Task(
@@ -171,7 +171,7 @@ TASKS = {
         learner=dict(
             lam=0.0002,  # [V-B]
             iterations=600,  # [ours]
-            **alpha_clock(4000 / 600),  # [V-B]
+            **alpha_clock(ITERATIONS["rough"] / 600),  # [V-B]
         ),
     ),
     "velocity": Task(
@@ -185,7 +185,7 @@ TASKS = {
         learner=dict(
             lam=0.0002,  # [V-D]
             iterations=1000,  # [ours]
-            **alpha_clock(10_000 / 1000),  # [V-D]
+            **alpha_clock(ITERATIONS["velocity"] / 1000),  # [V-D]
             num_envs=128,  # [ours] (D9)
         ),
         only_feet=True,  # [IV-A.3]
@@ -214,7 +214,7 @@ TASKS = {
         learner=dict(
             lam=0.005,  # [V-E]
             iterations=2000,  # [ours]
-            **alpha_clock(4000 / 600),  # [ours] that of `flat`, as no length is printed
+            **alpha_clock(ITERATIONS["flat"] / 600),  # [ours] as no length is printed
         ),
         only_feet=True,  # [IV-A.4]
     ),

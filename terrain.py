@@ -43,7 +43,7 @@ def perlin(x, y, gradients):
     return (1 - t) * low + t * high
 
 
-def tile(rng, roughness, cells_per_m=4):
+def tile(rng, roughness, cells_per_m):
     """Heights (n, n) [m] of a tile, n = TILE / SPACING; roughness: [m] from lowest to highest."""
     cells = round(TILE * cells_per_m)
     angle = rng.uniform(0, 2 * np.pi, (cells, cells))
@@ -53,7 +53,7 @@ def tile(rng, roughness, cells_per_m=4):
     return roughness * noise / np.ptp(noise)
 
 
-def make_ground(roughness, seed=0, cells_per_m=4):
+def make_ground(roughness, seed, cells_per_m):
     """The height field (ny, nx) [m]: tiles side by side along x, each with noise of its own.
 
     roughness: (tiles,) [m] of each tile. The height [i, j] is that at y = i SPACING and x = j

@@ -339,8 +339,8 @@ def played(policies, task, num_episodes=None):
             parts.append(by_command(dict(policy=who, nominal=nominal), e))
             if task == "velocity" and (name, nominal) == cases[0]:
                 tables["episodes"] = table_of(dict(peak=e["peak"]))
-                period = env_cfg.timestep * env_cfg.physics_steps
-                tables["speed"] = table_of(speed_of(v_x, period))
+                dt = env_cfg.timestep * env_cfg.physics_steps
+                tables["speed"] = table_of(speed_of(v_x, dt))
     did = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return dict(did=table_of(did)) | tables
 
@@ -362,19 +362,19 @@ def play(pi, env_cfg, nominal, n):
     episodes, v_x = evaluate.run_episodes(watched, env)
     e = dict(zip(ASKED, commands.T, strict=True)) | episodes._asdict()
     if env_cfg.task == "velocity":
-        e["strides"] = strides_of(np.where(np.isnan(v_x), np.nan, thigh), env.period)
+        e["strides"] = strides_of(np.where(np.isnan(v_x), np.nan, thigh), env.dt)
     return e, v_x
 
 
-def strides_of(angle, period):
+def strides_of(angle, dt):
     """How many strides a second robots take, (N,) [1/s]: the strongest frequency of a joint.
 
     angle:  (T, N) [rad] of the joint, NaN after the end of the episode
-    period: [s] from one row to the next
+    dt: [s] from one row to the next
     """
     swing = np.nan_to_num(angle - np.nanmean(angle, 0))
     strongest = np.abs(np.fft.rfft(swing, axis=0)).argmax(0)
-    return np.fft.rfftfreq(len(angle), period)[strongest]
+    return np.fft.rfftfreq(len(angle), dt)[strongest]
 
 
 def by_command(about, e):
@@ -392,10 +392,10 @@ def by_command(about, e):
     return columns | {x: [evaluate.iqm(one[x]) for one in each] for x in by_iqm}
 
 
-def speed_of(v_x, period):
+def speed_of(v_x, dt):
     """The mean of the speeds (T, N) [m/s] that are not NaN, over time [s], in steps of a third of a
-    second, which smooth the strides; period: [s] from one row to the next
+    second, which smooth the strides; dt: [s] from one row to the next
     """
-    steps = np.array_split(np.arange(len(v_x)), max(1, int(len(v_x) * period * 3)))
-    time = [period * (x.mean() + 0.5) for x in steps]
+    steps = np.array_split(np.arange(len(v_x)), max(1, int(len(v_x) * dt * 3)))
+    time = [dt * (x.mean() + 0.5) for x in steps]
     return dict(time=time, v_x=[np.nanmean(v_x[x]) for x in steps])

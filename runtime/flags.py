@@ -148,13 +148,13 @@ def check(options, env_cfg, cfg):
     if env_cfg.payload[0] <= -trunk:
         what = f"the trunk has {trunk:g} kg, so it must be above -{trunk:g}"
         raise Refused(f"--payload is {env_cfg.payload[0]}: {what}")
-    period = env_cfg.timestep * env_cfg.physics_steps
-    if period > 0.5:
-        what = f"with a timestep of {env_cfg.timestep:g} s that is a control step of {period:g} s"
+    dt = env_cfg.timestep * env_cfg.physics_steps
+    if dt > 0.5:
+        what = f"with a timestep of {env_cfg.timestep:g} s that is a control step of {dt:g} s"
         raise Refused(f"--physics-steps is {env_cfg.physics_steps}: {what}, of at most 0.5 s")
-    if env_cfg.clock_hz * period > 0.5:
-        steps = f"control steps of {period:g} s, --timestep times --physics-steps,"
-        what = f"{steps} show a clock of at most {0.5 / period:g} Hz"
+    if env_cfg.clock_hz * dt > 0.5:
+        steps = f"control steps of {dt:g} s, --timestep times --physics-steps,"
+        what = f"{steps} show a clock of at most {0.5 / dt:g} Hz"
         raise Refused(f"--clock-hz is {env_cfg.clock_hz}: {what}")
     if cfg.lam < FACTOR["at least"] and (cfg.algo == "eipo" or cfg.lam):
         why = "EIPO starts at alpha = 1 / lam, and only --algo ppo takes 0"

@@ -82,12 +82,12 @@ def caption(env, log, command):
 # ---- a window, a browser ----
 
 
-def paced(steps, period):
-    """Yields what steps do, but one in each period [s] at most."""
+def paced(steps, dt):
+    """Yields what steps do, but one in each dt [s] at most."""
     start = time.monotonic()
     for log in steps:
         yield log
-        time.sleep(max(0.0, start + period - time.monotonic()))
+        time.sleep(max(0.0, start + dt - time.monotonic()))
         start = time.monotonic()
 
 
@@ -116,7 +116,7 @@ def window(env, steps, command, slow=1.0):
         raise Refused(f"on macOS a window needs mjpython in place of python: {error}") from None
     with launched as viewer:
         point(viewer.cam, env, model)
-        for log in paced(steps, slow * env.period):
+        for log in paced(steps, slow * env.dt):
             if not viewer.is_running():
                 break
             with viewer.lock():
@@ -175,7 +175,7 @@ def browser(env, steps, command, port=0, slow=1.0):
     said = [""]
     with launch_web(env, model, command, said, port) as handle:
         handle.set_model(model, data=data)
-        for log in paced(steps, slow * env.period):
+        for log in paced(steps, slow * env.dt):
             if not handle.is_running():
                 break
             show(env, model, data)
@@ -196,12 +196,12 @@ def film(env, steps, seconds, size=SIZE, every=1):
         raise Refused("a GIF needs libosmesa6, or libegl1 and libgl1-mesa-dri: install one")
     model, data = make_scene(env)
     camera = mujoco.MjvCamera()
-    second = round(1 / env.period)
+    second = round(1 / env.dt)
     logs = deque(islice(steps, second), second)  # the first second passes and is not drawn
     point(camera, env, model)
     pictures, means = [], []
     with mujoco.Renderer(model, size[1], size[0]) as renderer:
-        for i, log in enumerate(islice(steps, max(1, round(seconds / env.period)))):
+        for i, log in enumerate(islice(steps, max(1, round(seconds / env.dt)))):
             logs.append(log)
             if i % every:
                 continue

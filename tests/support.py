@@ -71,10 +71,10 @@ def handmade(critic=((1.0,), (0.0,)), estimator=((0.0,),), actor=((0.0,), (0.0,)
     return {name: MLP([layer(weights)]) for name, weights in nets.items()} | dict(log_std=log_std)
 
 
-def learner_of(params, cost_scale=1.0):
-    """The Learner of such parameters. With one head it learns from the reward alone."""
+def learner_of(params, lam=1.0):
+    """The Learner of such parameters, from r and lam f. With one head it learns from r alone."""
     heads = len(params["critic"].layers[-1][1])
-    return ppo.Learner(params, None, None, (("reward", 1.0), ("cost", cost_scale))[:heads])
+    return ppo.Learner(params, None, None, (("reward", 1.0), ("cost", lam))[:heads])
 
 
 # ---- the environment ----

@@ -387,7 +387,7 @@ def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch
 def test_a_browser_is_as_slow_as_asked(monkeypatch, env):
     seen = []
     monkeypatch.setattr(viewer, "launch_web", MagicMock())
-    monkeypatch.setattr(viewer, "paced", lambda steps, period: seen.append(period) or steps)
+    monkeypatch.setattr(viewer, "paced", lambda steps, dt: seen.append(dt) or steps)
     viewer.browser(env, iter(()), np.zeros(3), 0, 4.0)
     assert seen == [pytest.approx(0.08)]
 

@@ -143,7 +143,7 @@ def test_algorithm1_line08_the_critic_learns_lam_f_and_line_8_mixes_f():
     cfg = replace(EIPO, reward_scale=0.02)
     for heads in (1, 2):
         params = handmade(np.zeros((3, heads)), np.zeros((2, 1)), np.zeros((3, 1)))
-        pi = learner_of(params, cost_scale=1 / 200)
+        pi = learner_of(params, lam=1 / 200)
         tau, log = roll(Probe(one, cost=lambda x, t, a: -126 + 0 * x), pi)
         assert (tau.reward == 1).all() and (tau.cost == -126).all() and log["cost"] == -126
         est = eipo.estimate(pi, tau, cfg)
@@ -275,7 +275,7 @@ def test_algorithm1_without_a_state_begins_anew(with_effort):
     assert trees_equal(state, run(Probe(near_half, effort), None)[1][0])
 
 
-def test_algorithm1_line04_eipo_starts_as_ppo(with_effort):
+def test_eq02_algorithm1_line04_eipo_starts_as_ppo(with_effort):
     """D6. alpha_0 = 1 / lam, so the first update of pi is PPO's at that lam, bit by bit. If alpha
     is held, all are.
     """
@@ -313,7 +313,7 @@ def test_algorithm1_learns_in_every_branch(algo, lam):
         assert log[skipped] == 0
 
 
-def test_algorithm1_line09_line10_line11_what_each_policy_learns_from(monkeypatch):
+def test_eq04_algorithm1_line08_line09_line10_line11_what_each_policy_learns_from(monkeypatch):
     """Episodes of two steps end as by a fall, and pay r = 1 and f = 4 a step. Every output of
     both critics is V = 3 t; gamma = 1/2, gae_lambda = 0, alpha = 2:
 
@@ -324,12 +324,13 @@ def test_algorithm1_line09_line10_line11_what_each_policy_learns_from(monkeypatc
     A_f         11/2 - 0 = 11/2          4 - 3 = 1
     pi          2 * 5/2 - 11/2 = -1/2    2 (-2) - 1 = -5
 
-    pi' learns from A_r alone. Nothing is normalised before it is mixed (D33).
+    pi' learns from A_r alone, and line 11 changes pi' (D1). Nothing is normalised before it is
+    mixed (D33).
     """
     seen = []
 
     def spy(learner, tau, target, advantage, *_):
-        seen.append((target[:2, 0].tolist(), advantage[:2, 0].tolist()))
+        seen.append((len(learner.heads), target[:2, 0].tolist(), advantage[:2, 0].tolist()))
         return learner, dict(kl=0.0)
 
     monkeypatch.setattr(eipo, "ppo_update", spy)
@@ -339,8 +340,9 @@ def test_algorithm1_line09_line10_line11_what_each_policy_learns_from(monkeypatc
     for env in envs:
         env.reset(0)
     state = State(0, jax.random.PRNGKey(0), pi, pi_prime, Dual(2.0, 0.0))
-    next(eipo.eipo(*envs, replace(EIPO, gae_lambda=0.0), state))
-    assert seen == [([[2.5, 5.5], [1.0, 4.0]], [-0.5, -5.0]), ([[2.5], [1.0]], [2.5, -2.0])]
+    after, _ = next(eipo.eipo(*envs, replace(EIPO, gae_lambda=0.0), state))
+    assert seen == [(2, [[2.5, 5.5], [1.0, 4.0]], [-0.5, -5.0]), (1, [[2.5], [1.0]], [2.5, -2.0])]
+    assert after.pi is pi and after.pi_prime is pi_prime  # D1
 
 
 def test_algorithm1_line12_the_gap_is_of_the_policies_before_their_updates(monkeypatch):
@@ -444,7 +446,7 @@ def after_two_steps():
     return learn(Probe(lambda x, t, a: 2 * x * t, length=2), 100)
 
 
-def test_probe_3_discounting(after_two_steps):
+def test_probe_2_discounting(after_two_steps):
     """V = -2 and 2 at the second step, and gamma = 1/2 of it at the first."""
     assert values(after_two_steps, t=1)[:, 0] == near([-2, 2])
     assert values(after_two_steps, t=0)[:, 0] == near([-1, 1])
@@ -458,7 +460,7 @@ def test_estimator_learns_what_is_privileged(after_two_steps):
         assert np.ravel(estimate) == near(np.ravel(privileged))
 
 
-def test_probe_4_a_time_limit_is_not_the_end():
+def test_probe_3_a_time_limit_is_not_the_end():
     """Reward x at every step, for ever: V = x / (1 - 1/2) = 2 x.
 
     If it ended as by a fall, V would be x. From the next episode's x it would be x as well.
@@ -473,9 +475,9 @@ def test_probe_4_a_time_limit_is_not_the_end():
         (lambda x, t, a: -((a - x / 2) ** 2), None, [-0.5, 0.5]),
         (near_half, effort, [0.1, 0.1]),
     ],
-    ids=["5: 1/2 wherever one is", "6: x / 2", "7: -(a - 1/2)^2 - 4 a^2 is best at 1/10"],
+    ids=["4: 1/2 wherever one is", "5: x / 2", "6: -(a - 1/2)^2 - 4 a^2 is best at 1/10"],
 )
-def test_probes_5_to_7_the_best_action(reward, cost, best):
+def test_probes_4_to_6_the_best_action(reward, cost, best):
     """PPO finds it: alone, for an observation, and where it trades the task for energy."""
     assert means(learn(Probe(reward, cost) if cost else Probe(reward), 60).pi) == near(best)
 
@@ -484,7 +486,7 @@ def test_eq03_eipo_puts_the_task_first():
     """-alpha (a - 1/2)^2 - a^2 is greatest at a = alpha / (2 (1 + alpha)), which is 1/10 at alpha =
     1/4, 0.4 at 4, and 1/2 in the limit.
 
-    alpha starts at 1/4, as in probe 7. pi_prime, at 1/2, shows that the task pays more, so alpha
+    alpha starts at 1/4, as in probe 6. pi_prime, at 1/2, shows that the task pays more, so alpha
     rises, and pi follows.
     """
     state = learn(Probe(near_half, effort), 100, Probe(near_half, effort))

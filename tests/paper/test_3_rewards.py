@@ -174,11 +174,11 @@ def robot(**changes):
         landed=np.zeros(4),
         collisions=0,
         action_change=np.zeros(12),
-        q=np.zeros(12),
+        q=np.ones(12),
     )
     batch = {name: np.asarray(x)[None] for name, x in (ideal | changes).items()}
     asked = batch.pop("velocity"), batch.pop("command")
-    return *asked, rewards.Gait(**batch, joint_range=np.array([[-1.0] * 12, [1.0] * 12]))
+    return *asked, rewards.Gait(**batch, joint_range=np.array([[0.0] * 12, [2.0] * 12]))
 
 
 AHEAD, SIDEWAYS, TURNING = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
@@ -197,7 +197,7 @@ LANDED = dict(landed=[0.25, 0.0, 0.5, 0.0])  # s: 0.25 - 0.5 and 0.5 - 0.5
         (dict(height=0.24), 30 * 0.01),
         (dict(collisions=1), 1.0),
         (dict(action_change=[1.0] * 12), 0.01 * 12),
-        (dict(q=[0.95, -0.92] + [0.9] * 10), 10 * (0.05 + 0.02)),
+        (dict(q=[1.95, 0.08] + [1.9] * 10), 10 * (0.05 + 0.02)),
         (dict(command=TURNING, velocity=[0, 0, 0.5]), 0.5 - 0.5 * E1),
         (dict(command=AHEAD, velocity=[0.5, 0, 0]), 1 - E1),
         (dict(command=SIDEWAYS, velocity=SIDEWAYS) | LANDED, 0.25),

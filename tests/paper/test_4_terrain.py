@@ -65,7 +65,7 @@ def test_slopes_are_random_unit_vectors(monkeypatch):
     """
     seen, real = [], terrain.perlin
     monkeypatch.setattr(terrain, "perlin", lambda *xyg: seen.append(xyg[2]) or real(*xyg))
-    tile(rng(), 0.15)
+    tile(rng(), 0.15, 4)
     (gradients,) = seen
     assert np.linalg.norm(gradients, axis=-1) == pytest.approx(np.ones((16, 16)))
     assert np.abs(gradients.mean((0, 1))).max() < 0.2
@@ -90,14 +90,15 @@ def test_make_ground():
     and so do settings.
     """
     roughness = [0.0, 0.05, 0.15]
-    ground = make_ground(roughness)
+    given = dict(seed=0, cells_per_m=4)
+    ground = make_ground(roughness, **given)
     assert ground.shape == (120, 360)
     tiles = ground.reshape(120, 3, 120)  # each with its apron
     assert np.ptp(tiles, (0, 2)) == pytest.approx(roughness, rel=1e-12)
     assert np.abs(tiles[:, 2] / 3 - tiles[:, 1]).max() > 0.01
-    assert (make_ground(roughness, seed=0, cells_per_m=4) == ground).all()
+    assert (make_ground(roughness, **given) == ground).all()
     for other in (dict(seed=1), dict(cells_per_m=2)):
-        assert (make_ground(roughness, **other) != ground)[:, 120:].mean() > 0.9
+        assert (make_ground(roughness, **given | other) != ground)[:, 120:].mean() > 0.9
 
 
 # ---- places ----
@@ -142,7 +143,7 @@ def test_height_by_hand(x, y, value):
 
 def test_height_survives_wrap():
     """A robot that is put back finds the ground it was on, wherever on tile or apron it stood."""
-    ground, index = make_ground([0.05, 0.15, 0.1]), rng().integers(3, size=1000)
+    ground, index = make_ground([0.05, 0.15, 0.1], 0, 4), rng().integers(3, size=1000)
     xy = rng(1).uniform(-1.0, 4.9, (1000, 2)) + np.stack([6.0 * index + 1, np.ones(1000)], -1)
     back = wrap(xy, index)
     assert (np.abs(back - xy).max(-1) > 3).mean() > 0.3

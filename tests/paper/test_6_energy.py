@@ -1,4 +1,4 @@
-"""Section IV-B: Eqs. (9) and (11) by hand, what is clipped (D3), and gear ratios (D4)."""
+"""Sections IV-B and V-E: Eqs. (9) and (11) by hand, what is clipped (D3), and gear ratios (D4)."""
 
 import numpy as np
 import pytest

@@ -98,7 +98,6 @@ def reflect(x, *mirrors):
 TRUNK = np.array([1, -1, 1])
 JOINTS = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]  # FL, FR, RL, RR for FR, FL, RR, RL
 SIGNS = np.tile([-1, 1, 1], 4)  # hips
-OF_JOINTS = go1.MIRROR, go1.MIRROR_SIGN
 
 
 def mirrored(qpos, qvel):
@@ -140,7 +139,7 @@ def test_mirror_on_physics(symmetric_robot):
         robot.qpos[:], robot.qvel[:] = state
     for _ in range(100):
         torque = rng.normal(size=12)
-        robots[0].ctrl[:], robots[1].ctrl[:] = torque, reflect(torque, OF_JOINTS)
+        robots[0].ctrl[:], robots[1].ctrl[:] = torque, reflect(torque, go1.MIRROR)
         for robot in robots:
             mujoco.mj_step(symmetric_robot, robot)
     assert robots[0].ncon > 0
@@ -154,11 +153,11 @@ def test_mirror_of_the_nominal_pose_and_of_the_energy(clip, is_alike):
     """The pose is its own image. Eq. (9) charges mirrored torques and speeds alike if it clips
     power, but not if it clips torque.
     """
-    assert np.array_equal(reflect(NOMINAL, OF_JOINTS), NOMINAL)
-    assert np.array_equal(reflect(np.arange(12.0), OF_JOINTS), SIGNS * np.arange(12.0)[JOINTS])
+    assert np.array_equal(reflect(NOMINAL, go1.MIRROR), NOMINAL)
+    assert np.array_equal(reflect(np.arange(12.0), go1.MIRROR), SIGNS * np.arange(12.0)[JOINTS])
     torque, qd = 8 * np.random.default_rng(0).normal(size=(2, 12))
     power = energy.total_power(torque, qd, clip)
-    image = energy.total_power(reflect(torque, OF_JOINTS), reflect(qd, OF_JOINTS), clip)
+    image = energy.total_power(reflect(torque, go1.MIRROR), reflect(qd, go1.MIRROR), clip)
     assert (image == pytest.approx(power)) == is_alike
 
 
