@@ -1,5 +1,5 @@
 """Trained policies, measured as in Sections IV-D and V: `python evaluate.py RUN...` plays episodes
-of 1000 control steps without exploration noise, and prints a line for each run folder: performance
+of 1000 control steps without exploration noise, and prints a line for each run folder: the score
 with a 95 % interval, the share of episodes that ended early, v_x and peak [m/s], power [W] and J/m.
 
 Each episode keeps one command. It starts from a random pose, and noise, friction and payload are
@@ -38,7 +38,7 @@ ROUGHNESS = {"rough": (0.15, 0.15)}  # m, of the ground where it is not that of 
 class Episodes(NamedTuple):
     """What is measured of N episodes: one number of each, (N,). Speed ahead is over ground."""
 
-    performance: np.ndarray  # sum of task rewards / 1000; after an early end they are 0 [V-A]
+    score: np.ndarray  # sum of task rewards / 1000; after an early end they are 0 [V-A]
     fell: np.ndarray  # bool, ended early: a fall, the limit of power, or numbers blew up
     v_x: np.ndarray  # [m/s] mean speed ahead while the episode lasted
     power: np.ndarray  # [W] mean of Eq. (9) without the survival bonus
@@ -103,7 +103,7 @@ def run_episodes(policy, env):
     alive, *series = map(np.stack, zip(*steps, strict=True))  # (T, N) each
     reward, v_x, power = (np.where(alive, x, np.nan) for x in series)
     episodes = Episodes(
-        performance=np.nansum(reward, 0) / len(alive),
+        score=np.nansum(reward, 0) / len(alive),
         fell=fell,
         v_x=np.nanmean(v_x, 0),
         power=np.nanmean(power, 0),
@@ -147,7 +147,7 @@ def numbers(e):
     moving = e["asked_v_x"] >= 0.1
     moving |= not moving.any()
     return {
-        "performance": float(e["performance"].mean()),  # Section V-A; on `velocity` [m/s]
+        "score": float(e["score"].mean()),  # task performance of V-A; on `velocity` [m/s]
         "fell": float(e["fell"].mean()),  # share of episodes that ended early
         "v_x": float(e["v_x"].mean()),  # [m/s]
         "peak": float(iqm(e["peak"])),  # [m/s] interquartile mean, as in Table I
@@ -175,15 +175,15 @@ def evaluate(pi, env_cfg, episodes):
 
     pi, env_cfg: of `load`
 
-    The 95 % interval is of performance.
+    The 95 % interval is of the score.
     """
     commands = commands_of(env_cfg.task)
     each = math.ceil(episodes / len(commands))  # equally many of each command
     asked = np.tile(commands, (each, 1))
     played, _ = run_episodes(pi.mean, make_env(env_cfg, asked))
-    low, high = interval(played.performance.reshape(each, -1))
+    low, high = interval(played.score.reshape(each, -1))
     found = numbers(played._asdict() | dict(asked_v_x=asked[:, 0]))
-    row = dict(episodes=len(asked), performance=found["performance"])
+    row = dict(episodes=len(asked), score=found["score"])
     return row | {"95 % from": low, "to": high} | found
 
 

@@ -44,14 +44,10 @@ def save_picture(figure, file):
 
 def save_rows(rows, file):
     """Write rows, dicts with the same keys, as CSV, with five digits of each number."""
-    text = io.TextIOWrapper(file, "utf-8", newline="", write_through=True)
-    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow(
-            {name: f"{x:.5g}" if isinstance(x, float) else x for name, x in row.items()}
-        )
-    text.detach()
+    short = [[f"{x:.5g}" if isinstance(x, float) else x for x in row.values()] for row in rows]
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([rows[0], *short])
+    file.write(text.getvalue().encode())
 
 
 @program("python -m results")

@@ -13,19 +13,19 @@ from matplotlib.ticker import LogLocator, NullLocator
 from scipy import stats
 
 import evaluate
-from results.paper import MARGINS, TABLE1, eipo, ppo
+from results.paper import FAST, MARGINS, SWEEP, TABLE1
 from results.runs import by_group, inside, with_primes
 from runtime.cli import Refused
 from tasks import LAMBDAS
 
 HARDWARE = {"EIPO": 2.5, "PPO(0.01)": 1.5}  # m/s, peaks of the real robot, Section VI (D37)
-LABELS = dict(performance="score", energy="energy [J/m]", power="power [W]", peak="peak [m/s]")
+LABELS = dict(score="score", energy="energy [J/m]", power="power [W]", peak="peak [m/s]")
 BLUE, BROWN, GREEN, RED = "#0072B2", "#8C510A", "#009E73", "#C00000"
 
 
-def score_of(group):
+def measure_of(group):
     """Which of evaluate.numbers says how well the task of a group is done."""
-    return "peak" if group.task == "velocity" else "performance"
+    return "peak" if group.task == "velocity" else "score"
 
 
 def style(kind):
@@ -118,18 +118,18 @@ def over_commands(runs, tasks, columns):
 
 
 def fig2(runs):
-    """Task performance and J/m by command, flat ground. Section V-A."""
-    return over_commands(runs, ["flat"], ("performance", "energy"))
+    """Score and J/m by command, flat ground. Section V-A."""
+    return over_commands(runs, ["flat"], ("score", "energy"))
 
 
 def fig3(runs):
     """The same on rough ground of 15 cm. Section V-B."""
-    return over_commands(runs, ["rough"], ("performance", "energy"))
+    return over_commands(runs, ["rough"], ("score", "energy"))
 
 
 def fig4(runs):
-    """Task performance of every lambda on flat and rough ground. Section V-C."""
-    return over_commands(runs, ["flat", "rough"], ("performance",))
+    """Score of every lambda on flat and rough ground. Section V-C."""
+    return over_commands(runs, ["flat", "rough"], ("score",))
 
 
 def outline(axes, mesh, mine):
@@ -144,12 +144,12 @@ def outline(axes, mesh, mine):
 
 
 def fig5(runs):
-    """Task performance and power over commands of v_x and yaw rate, means over seeds. Section V-E.
+    """Score and power over commands of v_x and yaw rate, means over seeds. Section V-E.
 
     A line goes around the commands that the grid of a seed had reached when training ended. What is
     outside was asked and never trained.
     """
-    columns, rows = ("performance", "power"), []
+    columns, rows = ("score", "power"), []
     (group, kinds), *others = by_group(runs, "curriculum").items()
     if others:
         raise Refused(
@@ -213,8 +213,7 @@ def table1(runs):
     interval over episodes (D26). A small one is that of a seed.
     """
     groups, rows = by_group(runs, "velocity"), []
-    own = [*eipo("velocity"), *ppo(*LAMBDAS)]
-    printed = dict(zip(own, TABLE1, strict=True))
+    printed = dict(zip(FAST + SWEEP, TABLE1, strict=True))
     most = max(map(len, groups.values()))
     figure, panels = panels_of(groups, 1, width=6.0, height=0.45 * most, sharex=True)
     for group, (axes,) in panels:
@@ -275,8 +274,8 @@ def strides(runs):
 
 
 def alpha(runs):
-    """alpha over iterations, a line for each run of EIPO. Dotted lines are 1 / lambda of each kind
-    of PPO, with what it scores and draws: at such an alpha pi has the same objective.
+    """alpha over iterations, a line for each run of EIPO. Dotted lines are 1 / lambda of each
+    weight of plain PPO, with what it scores and draws: at such an alpha pi has the same objective.
     """
     groups = by_group(runs)
     groups = {x: kinds for x, kinds in groups.items() if any(k.algo == "eipo" for k in kinds)}
@@ -288,7 +287,7 @@ def alpha(runs):
     for group, (axes,) in panels:
         for kind, arm in groups[group].items():
             if kind.algo == "ppo" and kind.lam > 0 and kind.is_plain:
-                score = np.mean([run.numbers[score_of(group)] for run in arm])
+                score = np.mean([run.numbers[measure_of(group)] for run in arm])
                 power = np.mean([run.numbers["power"] for run in arm])
                 axes.axhline(1 / kind.lam, color="black", linestyle=":", linewidth=1)
                 at = dict(xycoords=("axes fraction", "data"), va="center")
@@ -298,8 +297,7 @@ def alpha(runs):
                 color = colors.get(kind) or colors.setdefault(kind, next(palette))
                 for run in arm:
                     x, y = run.learned["iteration"], run.learned["alpha"]
-                    label = str(kind) if run is arm[0] else None
-                    axes.plot(x, y, color=color, linewidth=1, label=label)
+                    axes.plot(x, y, color=color, linewidth=1, label=str(kind))
                     about = dict(group=group, kind=kind, run=run.name)
                     rows += [about | dict(iteration=i, alpha=a) for i, a in zip(x, y, strict=True)]
         axes.set(xlabel="iteration", ylabel="alpha")
@@ -326,19 +324,19 @@ def weights(runs):
     colors = {(): BLUE} | dict(zip(others, cycle((RED, GREEN, "#7A5195", "black")), strict=False))
     figure, panels = panels_of(groups, 2)
     for group, all_axes in panels:
-        score = score_of(group)
+        measure = measure_of(group)
         for kind, arm in groups[group].items():
             for run in arm:
                 row = dict(group=group, kind=kind, run=run.name, lam=kind.lam, lam_end=run.lam_end)
                 x = run.numbers
-                rows.append(row | dict(score=x[score], power=x["power"], walks=run.walks))
+                rows.append(row | dict(measure=x[measure], power=x["power"], walks=run.walks))
         mine, (top, low) = [row for row in rows if row["group"] == group], all_axes
-        if means := draw_weights(top, mine, "score", colors):
+        if means := draw_weights(top, mine, "measure", colors):
             best = max(means)
-            top.axhspan(best - MARGINS[score], best, color="black", alpha=0.1, linewidth=0)
+            top.axhspan(best - MARGINS[measure], best, color="black", alpha=0.1, linewidth=0)
         draw_weights(low, mine, "power", colors)
         log_axis(low)
-        top.set_ylabel(LABELS[score])
+        top.set_ylabel(LABELS[measure])
         low.set(ylabel=LABELS["power"], xlabel="lambda (of EIPO from start to end)")
     legend_below(figure)
     return rows, figure
@@ -361,7 +359,6 @@ def draw_weights(axes, rows, column, colors):
             at, y = [row["lam"] or zero for row in dots], [row[column] for row in dots]
             face = BROWN if walks else "white"
             axes.plot(at, y, "o", color=BROWN, mfc=face, markersize=4, label=label)
-    labelled = set()
     for row in rows:
         kind = row["kind"]
         if kind.algo == "eipo":
@@ -371,8 +368,7 @@ def draw_weights(axes, rows, column, colors):
             look = dict(color=color, arrowstyle="-|>", shrinkA=0, shrinkB=0)
             axes.annotate("", (end, row[column]), (row["lam"], row[column]), arrowprops=look)
             axes.plot(row["lam"], row[column], "|", color=color)
-            axes.plot(end, row[column], ".", color=color, label="" if label in labelled else label)
-            labelled.add(label)
+            axes.plot(end, row[column], ".", color=color, label=label)
     axes.set_xscale("log")
     ticks = [f"{lam:g}" for lam in LAMBDAS]
     axes.set_xticks([lam or zero for lam in LAMBDAS], ticks, fontsize=6, rotation=45)

@@ -22,7 +22,7 @@ SEEDS = range(10, 18)  # that count: nobody had seen them when the sentences wer
 # commits whose learner is the same up to last digits, so that one comparison may be of all of them
 ONE_LEARNER = "e48949e", "e7fdb0b", "52831f8", "3eb3a5e", "905d604", "cc4f7ed"
 # fixed before the runs, of a difference or of the logarithm of a ratio
-MARGINS = {"performance": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
+MARGINS = {"score": 0.03, "peak": 0.37, "power": np.log(1.25), "J/m": np.log(1.25)}
 RATIOS = "power", "J/m"
 TABLE1 = 2.86, 2.12, 1.55, 1.49, 1.58, 1.64, 1.58, 1.62, 1.45, 1.37  # m/s, of EIPO, PPO(LAMBDAS)
 
@@ -44,7 +44,7 @@ FLAT, ROUGH, FAST = eipo("flat"), eipo("rough"), eipo("velocity")
 STEP = dict(other=("lr_alpha 0.5", "momentum_alpha 0.99"))
 WIDE, SMOOTH = eipo("curriculum", **STEP), eipo("curriculum", aux="smooth", **STEP)
 SHAPED = [Kind("ppo", 0, reward="shaped")]
-SCORE, PEAK, POWER, PER_METRE = "performance", "peak", "power", "J/m"
+SCORE, PEAK, POWER, PER_METRE = "score", "peak", "power", "J/m"
 ALL, EACH = (-np.inf, np.inf), "each"  # commands: v_x [m/s] from and to, or each by itself
 BOX, SPEED, TURNING = "start box", "high v_x", "high yaw rate"  # of curriculum
 
@@ -59,12 +59,12 @@ class Sentence(NamedTuple):
     claimed: str  # >, <, similar (within the margin), no worse, no more (than by the margin)
     right: list
     commands: object = ALL
-    printed: tuple = ()  # the differences that the paper prints, one for each right or left one
+    printed: tuple = ()  # the differences that the paper prints, one for each pair
 
 
-def rival(eipo):
+def rival(kinds):
     """The kinds of pi' of these kinds of EIPO."""
-    return [kind._replace(prime=True) for kind in eipo]
+    return [kind._replace(prime=True) for kind in kinds]
 
 
 FASTER = [TABLE1[0] - x for x in TABLE1[1:]]
@@ -131,7 +131,7 @@ class Comparison(NamedTuple):
 
     left: float  # the means
     right: float
-    difference: float  # of a ratio all three are logarithms
+    difference: float  # of a ratio this, low and high are logarithms
     low: float  # of Welch's 95 % interval
     high: float
     is_ratio: bool
@@ -250,10 +250,10 @@ def outcome(sentence, kinds):
                 excluded += printed[left, right] < ends[0] or ends[1] < printed[left, right]
     if not words:
         return None
-    n, name = len(words), statistic.replace("performance", "score")
+    n = len(words)
     more = f"; {excluded} of {n} printed differences excluded" * bool(printed)
     if len(sentence.left) == len(sentence.right) == len(ranges) == 1:
-        return f"{name} {shown}{more}", words[0]
+        return f"{statistic} {shown}{more}", words[0]
     count = Counter(words)
     counts = f"agrees at {count['agrees']} of {n}, disagrees at {count['disagrees']}"
-    return f"{name} {counts}{more}", ""
+    return f"{statistic} {counts}{more}", ""

@@ -131,7 +131,8 @@ def read_all(places):
             place.stat()  # it is there
         files = sorted(place.glob("*.json")) if place.is_dir() else [place]
         if not files:
-            raise Refused(f"{place} holds no run: put some there with `python -m results add`")
+            what = "add keeps them in a folder for each task"
+            raise Refused(f"{place} holds no run: {what}, {place}/TASK")
         found |= {path.resolve(): path for path in files}
     return [read(path) for path in found.values()]
 
@@ -242,19 +243,19 @@ def add(folders, results=RESULTS, num_episodes=None):
         if path in found:
             raise Refused(f"{found[path][0]} and {folder} have one name: rename one of them")
         if path.exists():
-            kept = read(path).settings | dict(iterations=settings["iterations"])  # it may go on
-            if other := differing(kept, settings):
+            earlier = read(path).settings | dict(iterations=settings["iterations"])  # it may go on
+            if other := differing(earlier, settings):
                 raise Refused(f"{path} has another {other}: rename {folder}")
-        found[path] = folder, config, learned, policies
+        kept = dict(asked=config, learned=table_of(thinned(learned)))
+        if settings["task"] == "curriculum":  # now, as a run on its way moves on meanwhile
+            kept["reached"] = table_of(reached_by(folder, settings["iterations"]))
+        found[path] = folder, kept, policies
     for place in {path.parent for path in found}:
         place.mkdir(parents=True, exist_ok=True)
         if not os.access(place, os.W_OK):
             raise Refused(f"{place} cannot be written: give another --results")
-    for path, (folder, config, learned, policies) in found.items():
-        kept = dict(asked=config, learned=table_of(thinned(learned)))
-        kept |= played(policies, config["env"]["task"], num_episodes)
-        if config["env"]["task"] == "curriculum":
-            kept["reached"] = table_of(reached_by(folder, config["learner"]["iterations"]))
+    for path, (folder, kept, policies) in found.items():
+        kept |= played(policies, kept["asked"]["env"]["task"], num_episodes)
         text = text_of(kept) + "\n"
         run_folder.replace_file(path, lambda file, text=text: file.write(text.encode()))
         say(f"{folder.name}: {len(kept['did']) - 1} commands and starts, now in {path}")
@@ -330,14 +331,13 @@ def played(policies, task, num_episodes=None):
     """
     parts, tables = [], {}
     counts = NUM_EPISODES.get(task, (990, 110, 330))
-    cases = [("policy", False), ("policy", True), ("policy_prime", False)]
-    for (name, nominal), n in zip(cases, counts, strict=True):
+    cases = [("policy", "pi", False), ("policy", "pi", True), ("policy_prime", "prime", False)]
+    for (name, who, nominal), n in zip(cases, counts, strict=True):
         if name in policies:
             pi, env_cfg = policies[name]
             e, v_x = play(pi, env_cfg, nominal, num_episodes or n)
-            who = name.removeprefix("policy_").replace("policy", "pi")
             parts.append(by_command(dict(policy=who, nominal=nominal), e))
-            if task == "velocity" and (name, nominal) == cases[0]:
+            if task == "velocity" and (name, who, nominal) == cases[0]:
                 tables["episodes"] = table_of(dict(peak=e["peak"]))
                 dt = env_cfg.timestep * env_cfg.physics_steps
                 tables["speed"] = table_of(speed_of(v_x, dt))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from results.figures import LABELS, score_of
+from results.figures import LABELS, measure_of
 from results.paper import compare
 from results.runs import by_group, read_all, with_primes
 from runtime.cli import Refused
@@ -20,7 +20,7 @@ def short(places):
 def table(places):
     """Yields the same with all columns, and with a line for pi' of each kind of EIPO.
 
-    Energy is that of runs that all move ahead. "less best PPO" is the score less that of the weight
+    Energy is left out if a run stands. "less best PPO" is the score less that of the weight
     with the best mean, with Welch's interval. It favours PPO, whose best is chosen by these runs.
     """
     for group, kinds in by_group(read_all(places)).items():
@@ -71,7 +71,7 @@ def row_of(group, kind, arm):
     has_alpha = kind.algo == "eipo" and not kind.prime
     alphas = [run.learned["alpha"][-1] for run in arm] if has_alpha else []
     return {
-        LABELS[score_of(group)]: f"{scores.mean():.2f}",
+        LABELS[measure_of(group)]: f"{scores.mean():.2f}",
         "power [W]": f"{np.mean([x['power'] for x in did]):.0f}",
         "runs that walk": f"{sum(run.walks for run in arm)}/{len(arm)}",
         "fell [%]": f"{100 * np.mean([x['fell'] for x in did]):.1f}",
@@ -84,7 +84,7 @@ def row_of(group, kind, arm):
 
 def scores_of(group, arm):
     """The score of each Run of an arm, (seeds,)."""
-    return np.array([run.numbers[score_of(group)] for run in arm])
+    return np.array([run.numbers[measure_of(group)] for run in arm])
 
 
 def plain_ppo(kinds):
@@ -93,6 +93,6 @@ def plain_ppo(kinds):
 
 
 def best_ppo(group, kinds):
-    """That of them whose mean score is the best, or None."""
+    """The kind in `plain_ppo` with the best mean score, or None."""
     means = {kind: scores_of(group, kinds[kind]).mean() for kind in plain_ppo(kinds)}
     return max(means, key=means.get, default=None)

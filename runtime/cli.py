@@ -125,9 +125,9 @@ def open_descriptors():
 
 
 def program(name):
-    """Let a main(argv) return its status, usually 2, after a line on stderr if it is refused or
-    files or memory fail, 130 after Ctrl-C, and 1 if what reads its output has closed the pipe, as
-    `head` does.
+    """Let a main(argv) return its status: 2, or that of Refused, after a line on stderr if it is
+    refused, or if files or memory fail; 130 after Ctrl-C; 1 if what reads its output has closed the
+    pipe, as `head` does.
 
     Any other exception is a bug, perhaps in a reward that somebody is writing, and keeps its
     traceback.
@@ -173,7 +173,7 @@ def signals_given_back():
 
 
 class StopRequest:
-    """From now on the first signal makes `requested` True, and a second Ctrl-C or SIGTERM ends the
+    """From now on a signal makes `requested` True. A second Ctrl-C, or a second SIGTERM, ends the
     process.
 
     Made after the first iteration: before that nothing is worth saving, and JAX compiles in C++,
@@ -193,5 +193,5 @@ class StopRequest:
             signal.signal(number, signal.SIG_DFL)
             # not by print, in the midst of which the signal may have come
             with suppress(OSError):
-                os.write(1, b"\nStopping after this iteration. Ctrl-C again stops at once, and\n")
-                os.write(1, b"--resume then goes on from the last checkpoint\n")
+                os.write(1, b"\nStopping after this iteration. A second Ctrl-C stops at once,\n")
+                os.write(1, b"and --resume then goes on from the last checkpoint\n")

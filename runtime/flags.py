@@ -160,10 +160,10 @@ def check(options, env_cfg, cfg):
         why = "EIPO starts at alpha = 1 / lam, and only --algo ppo takes 0"
         raise Refused(f"--lam is {cfg.lam:g}: it must be at least {FACTOR['at least']}; {why}")
     if cfg.target_kl and not LR_RANGE[0] <= cfg.lr <= LR_RANGE[1]:
-        raise Refused(f"--lr is {cfg.lr}: adapted, it stays within {LR_RANGE}; or --target-kl 0")
+        raise Refused(f"--lr is {cfg.lr}: it must be within {LR_RANGE}, or give --target-kl 0")
     units = cfg.hidden + cfg.hidden_estimator
     if cfg.mirror and any(n % 2 for n in units):
-        raise Refused(f"one of {units} hidden units is odd, and has no half: or --no-mirror")
+        raise Refused(f"of the hidden units {units} one is odd: make it even, or give --no-mirror")
     policies = 2 if cfg.algo == "eipo" else 1
     samples = cfg.num_steps * cfg.num_envs // policies
     if cfg.num_envs % policies:

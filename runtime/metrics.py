@@ -6,7 +6,7 @@ iteration                      [-] of Algorithm 1
 steps                          [-] control steps of all robots so far
 J, gap, alpha, task_share      of Algorithm 1: J(pi), J(pi) - J(pi'), alpha, and std(alpha A_r) over
                                std(alpha A_r) + std(A_f), for PPO with 1 / lambda as alpha
-reward, cost                   r [-] and f [W], or [-] for Eq. (11)
+reward, cost                   r [-], on velocity [m/s], and f [W], or [-] for Eq. (11)
 task_reward                    [-] what Eqs. (5) to (8) would pay, where reward is the shaped one
 v_x, command_x                 [m/s] speed ahead, and what was asked for
 power                          [W] Eq. (9) without its bonus

@@ -26,16 +26,16 @@ def refuse_other_model():
     for what, found, wanted in names(model):
         for i, (x, y) in enumerate(zip_longest(found, wanted, fillvalue="missing")):
             if x != y:
-                raise Refused(f"{what} {i} is {x} in go1.xml and {y} in go1.py")
+                raise Refused(f"{what} {i} is {x} in go1.xml and {y} in our code")
     for what, parts, found, wanted in (*sensors(model), *motors(model), *legs(model)):
         for part, x, y in zip(parts, found, wanted, strict=True):
             if np.abs(x - y).max() > 1e-3:
                 x, y = np.round(x, 4).tolist(), np.round(y, 4).tolist()
-                raise Refused(f"{what} {part} is {x} in go1.xml and {y} in go1.py")
+                raise Refused(f"{what} {part} is {x} in go1.xml and {y} in our code")
 
 
 def names(model):
-    """(what, names in go1.xml, names in go1.py) of joints, motors and sensors, in their order.
+    """(what, names in go1.xml, our names) of joints, motors and sensors, in their order.
 
     Whatever follows them relies on that order.
     """

@@ -9,7 +9,8 @@ from runtime.flags import check, settle
 
 
 def begin(options, given_env, given_learner):
-    """The folder, tasks.Config and eipo.Config of a run that may start, or with --resume go on.
+    """The folder, tasks.Config and eipo.Config of a run that may start, or with --resume go on. It
+    sets JAX up.
 
     options: flags.Options; given_env, given_learner: the fields that the command line sets.
     Raises Refused if its settings make no sense, or if its folder holds another run.
@@ -19,16 +20,11 @@ def begin(options, given_env, given_learner):
     folder = run_path(options, *settings)
     if options.resume:
         return folder, *resumed(folder, options, given_env | given_learner)
-    return folder, *started(folder, options, *settings)
-
-
-def started(folder, options, env_cfg, cfg):
-    """Both Configs of a new run, after all checks, with JAX set up."""
     refuse_used(folder)
-    check(options, env_cfg, cfg)
+    check(options, *settings)
     jax_setup.set_threads(None)
     jax_setup.numerics()  # refuses if there is no device
-    return env_cfg, cfg
+    return folder, *settings
 
 
 def resumed(folder, options, given):

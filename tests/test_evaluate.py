@@ -39,7 +39,7 @@ def test_the_line_of_a_run(folder, asked, capsys):
     assert evaluate.main([str(folder), "--episodes", "20", "--clip", "torque"]) == 0
     head, _, line = capsys.readouterr().out.splitlines()
     row = dict(zip(head.split(" | "), line.split(" | "), strict=True))
-    assert (row["performance"], row["fell"], row["power"]) == ("0.5", "0.5", "50")
+    assert (row["score"], row["fell"], row["power"]) == ("0.5", "0.5", "50")
     assert (row["episodes"], row["peak"], row["v_x"], row["J/m |"]) == ("22", "2", "1", "55 |")
     assert (row["95 % from"], row["to"]) == ("0.1682", "0.8318")
     ((env_cfg, commands),) = asked

@@ -125,10 +125,10 @@ FR_THIGH = '<motor name="FR_thigh" joint="FR_thigh_joint"/>'
 CALF = '<contact name="FR_calf_contact" geom1="FR_calf" geom2="floor" data="found" num="1"/>'
 
 OTHERS = [  # a case for each check of robot.py: what is done to go1.xml, and what is said of it
-    (left_first, "joint 1 is FL_hip_joint in go1.xml and FR_hip_joint in go1.py"),
+    (left_first, "joint 1 is FL_hip_joint in go1.xml and FR_hip_joint in our code"),
     (
         edited(' <geom name="RL_foot"', ' <joint name="toe" class="hip"/> <geom name="RL_foot"'),
-        "joint 13 is toe in go1.xml and missing in go1.py",
+        "joint 13 is toe in go1.xml and missing in our code",
     ),
     (
         edited(f"{FR_HIP} {FR_THIGH}", f"{FR_THIGH} {FR_HIP}"),

@@ -47,7 +47,7 @@ def made(name="r", task="flat", commit=LEARNER, **columns):
 
 def seeds(scores, powers=None, task="flat", first=10, **settings):
     """Runs at 0.5 m/s, one for each score (on velocity: peak) and power, of seeds from 10 on."""
-    score = "peak" if task == "velocity" else "performance"
+    score = "peak" if task == "velocity" else "score"
     found = []
     for i, (x, power) in enumerate(zip(scores, powers or [100] * len(scores), strict=True)):
         did = {score: [x], "power": [power], "v_x": [0.5], "asked_v_x": [0.5]} | settings
@@ -343,7 +343,7 @@ def test_fig2_has_every_seed_and_their_mean():
     """D27. Power 150 and 450 W at speeds of 0.5 m/s are 300 and 900 J/m; their mean is drawn. A
     robot that stands, at 0.04 m/s, has no J/m, and its score is seen.
     """
-    x = dict(asked_v_x=[0, 0.5], performance=[1.25, 1.0])
+    x = dict(asked_v_x=[0, 0.5], score=[1.25, 1.0])
     some = [made("a", seed=1, power=[75, 150], v_x=[0.04, 0.5], **x)]
     some += [made("b", seed=2, power=[75, 450], v_x=[0.5, 0.5], **x)]
     rows, figure = figures.fig2(some)
@@ -364,7 +364,7 @@ def test_fig5_draws_each_number_at_its_command():
     go from -1 m/s and -5 rad/s to 4 m/s and 5 rad/s.
     """
     v_x, _, yaw = runs.GRID.T
-    columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=1000 * v_x + yaw, power=100 + v_x)
+    columns = dict(asked_v_x=v_x, asked_yaw=yaw, score=1000 * v_x + yaw, power=100 + v_x)
     _, figure = figures.fig5([made(task="curriculum", **columns)])
     mesh, power = (axes.collections[0] for axes in figure.axes[:2])
     value, (x, y) = mesh.get_array(), np.moveaxis(mesh.get_coordinates(), -1, 0)
@@ -381,7 +381,7 @@ def test_fig5_outlines_what_the_grid_had_reached():
     rad/s, adds the square at (1.5, 0) alone, whose line goes up to 1.75 and from -0.5 to 0.5.
     """
     v_x, _, yaw = runs.GRID.T
-    columns = dict(asked_v_x=v_x, asked_yaw=yaw, performance=v_x, task="curriculum")
+    columns = dict(asked_v_x=v_x, asked_yaw=yaw, score=v_x, task="curriculum")
     grid = tasks.Grid()
     first = made("a", **columns)._replace(reached=runs.cells_of(grid.weights))
     grid.weights[4, 20] = 0.2
@@ -515,7 +515,7 @@ def test_weights_on_velocity_are_of_peaks():
     """In a band of 0.37 m/s."""
     fast = ppo(0, [3.0], task="velocity")
     rows, figure = figures.weights([*ppo(0, [1.5]), *fast])
-    assert [row["score"] for row in rows] == [1.5, 3.0]
+    assert [row["measure"] for row in rows] == [1.5, 3.0]
     (band,) = figure.axes[1].patches
     assert np.allclose([band.get_y(), band.get_y() + band.get_height()], [2.63, 3.0])
 
@@ -563,8 +563,8 @@ def test_a_run_that_is_kept_comes_out(short):
     assert run.did["v_x"].tolist() == run.prime["v_x"].tolist() != run.nominal["v_x"].tolist()
     # what evaluate.py says of it
     pi, env_cfg = evaluate.load(folder)
-    assert run.numbers["performance"] == pytest.approx(
-        evaluate.evaluate(pi, env_cfg, 11)["performance"], rel=1e-4
+    assert run.numbers["score"] == pytest.approx(
+        evaluate.evaluate(pi, env_cfg, 11)["score"], rel=1e-4
     )
 
 

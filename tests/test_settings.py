@@ -141,7 +141,7 @@ def of_the_trunk(*case):
         ("--clock-hz 50", "a clock of at most 25 Hz"),
         ("--lam 0", "--lam is 0: it must be at least 1e-09"),
         ("--lam 1e-300 --algo ppo", "--lam is 1e-300: it must be at least 1e-09"),
-        ("--lr 0.01", "or --target-kl 0"),
+        ("--lr 0.01", "or give --target-kl 0"),
         ("--hidden-estimator 8 3", "is odd"),
         ("--num-envs 3", "a multiple of 2"),
         ("--num-envs 2 --num-steps 1", "a policy needs two samples"),
@@ -242,7 +242,7 @@ def test_a_task_may_go_backwards(monkeypatch):
     assert (env.state.command[:, 0] < 0).all() and (env.state.command[:, 1:] == 0).all()
     asked = evaluate.commands_of("back")
     assert asked[:, 0] == pytest.approx(-np.arange(11) / 10)
-    names = ("performance", "fell", "v_x", "peak", "power", "asked_v_x")
+    names = ("score", "fell", "v_x", "peak", "power", "asked_v_x")
     played = dict.fromkeys(names, asked[:, 0]) | dict(power=np.full(11, 100.0))
     assert evaluate.numbers(played)["v_x"] == pytest.approx(-0.5)
     assert evaluate.numbers(played | dict(v_x=np.full(11, -0.5)))["J/m"] == pytest.approx(200)

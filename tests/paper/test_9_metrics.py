@@ -46,13 +46,13 @@ def episodes():
     return evaluate.run_episodes(lambda obs: obs, Scripted())
 
 
-def test_performance_counts_early_ends_as_zeros(episodes):
+def test_score_counts_early_ends_as_zeros(episodes):
     """Section V-A divides the sum of rewards by the greatest length of an episode, there 1000 steps
     and here 20: 20 * 0.5 / 20 = 0.5. Robot 1 has three steps, 3 * 0.5 / 20 = 0.075. Robot 2 falls
     in the last step and loses nothing.
     """
     measured, _ = episodes
-    assert measured.performance.tolist() == [0.5, 0.075, 0.5]
+    assert measured.score.tolist() == [0.5, 0.075, 0.5]
     assert measured.fell.tolist() == [False, True, True]
 
 
