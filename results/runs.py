@@ -56,6 +56,7 @@ class Run(NamedTuple):
 
     @property
     def group(self):
+        """Its Group."""
         return Group(self.settings["task"], self.settings["iterations"])
 
     @property

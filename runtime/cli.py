@@ -44,6 +44,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
 
     def error(self, message):
+        """As argparse's, without the usage."""
         self.exit(2, f"{self.prog}: {message} (-h lists every flag)\n")
 
 
@@ -188,6 +189,7 @@ class StopRequest:
                 signal.signal(number, self.hear)
 
     def hear(self, number, _):
+        """The handler of SIGNALS."""
         self.requested = True
         if number in (signal.SIGINT, signal.SIGTERM):  # one closed terminal may send SIGHUP twice
             signal.signal(number, signal.SIG_DFL)

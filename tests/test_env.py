@@ -134,14 +134,14 @@ def test_batch_equals_a_plain_mujoco_loop():
     hand before each mj_step, give the same bits. These have the geoms that are only drawn, and the
     batch has not.
     """
-    env = make(3)
+    env = make(3, com=(-0.05, 0.05))
     models = [mujoco.MjModel.from_xml_path(str(go1.MODEL)) for _ in range(3)]
     robots = [mujoco.MjData(model) for model in models]
     for i, (model, robot) in enumerate(zip(models, robots, strict=True)):
         feet = [model.geom(f"{leg}_foot").id for leg in go1.LEGS]
         assert len(model.geom_friction) > len(env.state.friction[i])
         model.geom_friction[feet] = env.state.friction[i, env.feet]
-        model.body_mass[:] = env.state.mass[i]
+        model.body_mass[:], model.body_ipos[:] = env.state.mass[i], env.state.com[i]
         mujoco.mj_setConst(model, robot)
         robot.qpos[:], robot.qvel[:] = env.qpos[i], env.qvel[i]
     for action in random_actions(env, 12):

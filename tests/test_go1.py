@@ -19,8 +19,6 @@ import train
 from runtime import checkpoint, robot
 from runtime.cli import Refused
 
-JOINTS = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
-
 
 def of_legs(*parts):
     """The names of these parts of each leg."""
@@ -238,9 +236,10 @@ DIFFERENT = {  # what is done to go1.xml, and numbers of go1.py
     "inertia": (edited('fullinertia="0.0180397 ', 'fullinertia="0.0180407 '), {}),
     "range": (edited("-2.818 -0.888", "-2.818 -0.887"), {}),
     "length": (edited('FR_hip" pos="0.1881', 'FR_hip" pos="0.1886'), {}),
-    "gain": (lambda xml: xml, dict(KP=20.5)),
-    "torque": (lambda xml: xml, dict(TORQUE_LIMIT=go1.TORQUE_LIMIT + 1)),
+    "armature": (edited('armature="', 'armature="1'), {}),
 }
+NUMBERS = "Q_NOMINAL ACTION_SCALE KP KD FOOT_RADIUS TORQUE_LIMIT VELOCITY_LIMIT STALL_TORQUE"
+DIFFERENT |= {x: (lambda xml: xml, {x: getattr(go1, x) + 1}) for x in NUMBERS.split()}
 
 
 @pytest.mark.go1

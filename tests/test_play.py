@@ -384,11 +384,14 @@ def test_the_window_shows_the_simulated_robot_in_real_time_or_slower(monkeypatch
     assert slept == pytest.approx([0.075] * 2)
 
 
-def test_a_browser_is_as_slow_as_asked(monkeypatch, env):
-    seen = []
-    monkeypatch.setattr(viewer, "launch_web", MagicMock())
+def test_the_browser_shows_the_simulated_robot_as_slow_as_asked(monkeypatch, env):
+    seen, launch, log = [], MagicMock(), dict(v_x=np.array([1.26]), power=np.array([300.4]))
+    monkeypatch.setattr(viewer, "launch_web", launch)
     monkeypatch.setattr(viewer, "paced", lambda steps, dt: seen.append(dt) or steps)
-    viewer.browser(env, iter(()), np.zeros(3), 0, 4.0)
+    viewer.browser(env, iter([log]), np.zeros(3), 0, 4.0)
+    handle = launch.return_value.__enter__.return_value
+    assert handle.set_model.call_args.kwargs["data"].qpos.tolist() == env.qpos[0].tolist()
+    assert "v_x 1.3 m/s   300 W" in launch.call_args.args[3][0] and handle.sync.called
     assert seen == [pytest.approx(0.08)]
 
 

@@ -55,26 +55,25 @@ def test_act_is_mean_of_what_a_robot_measures(path):
     assert pi.act(gravity, asked[0], NOMINAL, NOMINAL) == pytest.approx(NOMINAL - 10 * SCALE)
 
 
+GOOD = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)
+
+
 def test_a_sensor_that_fails_is_forgotten(tmp_path):
     """A NaN, or what makes the action infinite, is answered by the last good measurement, and the
     next good one finds everything finite. At the start there is none: the target is the pose of
     action 0, and the first good one is seen as at the start of an episode.
     """
     pi, _ = run_folder.load_policy(make_run(tmp_path) / "policy.npz")
-    good = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)
-    bad = *good[:3], np.full(12, np.nan)
-    first, target = pi.act(*good), pi.act(*bad)
+    bad = *GOOD[:3], np.full(12, np.nan)
+    first, target = pi.act(*GOOD), pi.act(*bad)
     assert np.isfinite(target).all() and np.isfinite(pi.action).all()
     assert np.array_equal(pi.frames[-1], pi.frames[-2])
-    assert np.isfinite(pi.act(*good)).all() and np.isfinite(np.concatenate(pi.frames)).all()
+    assert np.isfinite(pi.act(*GOOD)).all() and np.isfinite(np.concatenate(pi.frames)).all()
     pi.start()
     assert np.array_equal(pi.act(*bad), NOMINAL)
-    assert np.array_equal(pi.act(*good), first)
+    assert np.array_equal(pi.act(*GOOD), first)
     pi.mean = lambda obs: np.full(12, np.nan)
-    assert np.array_equal(pi.act(*good), NOMINAL) and not pi.action.any()
-
-
-GOOD = [0.0, 0.0, -1.0], [0.5, 0.0, 0.0], NOMINAL, np.zeros(12)
+    assert np.array_equal(pi.act(*GOOD), NOMINAL) and not pi.action.any()
 
 
 def test_each_input_has_its_width(tmp_path):
@@ -163,7 +162,6 @@ def with_settings(path, change):
 OF_ANOTHER_WORLD = {
     "kp": lambda path: change_npz(path, kp=21.0),
     "q_nominal": lambda path: change_npz(path, q_nominal=np.zeros(12)),
-    "another robot": lambda path: with_settings(path, lambda c: c | dict(about=dict(robot="0"))),
     "friction": lambda path: with_settings(path, lambda c: c.pop("friction") and c),
     "algo": lambda path: with_settings(path, lambda c: c["about"].pop("algo") and c),
     "moonlight": lambda path: with_settings(path, lambda c: c | dict(moonlight=1)),
@@ -231,7 +229,7 @@ def test_the_loop_of_deploy_md_walks(page, timestep, steps):
     robot = Elsewhere(timestep)
     page["walk"]([0.5, 0.0, 0.0], 4.0, robot.measure, robot.apply)
     assert robot.data.time == pytest.approx(4)
-    assert 1.2 < np.linalg.norm(robot.data.qpos[:2]) < 4 and robot.data.qpos[2] > 0.2
+    assert 2 < np.linalg.norm(robot.data.qpos[:2]) < 4 and robot.data.qpos[2] > 0.2
 
 
 @pytest.mark.go1
@@ -245,7 +243,7 @@ def test_the_loop_of_deploy_md_survives_its_sensors(page):
         page["walk"]([0.5, 0.0, 0.0], 3.0, robot.measure, robot.apply)
         assert np.isfinite(robot.torques).all()
         assert bool(page["pi"].frames) == (robot is gap)
-    assert np.linalg.norm(gap.data.qpos[:2]) > 0.8 and gap.data.qpos[2] > 0.2
+    assert np.linalg.norm(gap.data.qpos[:2]) > 1.5 and gap.data.qpos[2] > 0.2
     assert not np.any(blind.torques[400:])
     for robot in damped:
         assert robot.torques[-1].any()

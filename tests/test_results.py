@@ -149,7 +149,7 @@ def test_the_interval_is_welchs():
     the error is sqrt(1/3 + 1/3) = 0.81650, and half of the interval 2.2669.
 
     With 0, 1, 2 and 3, 5, 7: errors^2 1/3 and 4/3, so (5/3)^2 / (1/18 + 16/18) = 50/17 = 2.9412
-    degrees of freedom, for which t is 3.2186 (between 4.3027 of 2 and 3.1824 of 3, by 1 / df);
+    degrees of freedom, for which t is 3.2188 (between 4.3027 of 2 and 3.1824 of 3, by 1 / df);
     the error is sqrt(5/3) = 1.29099, and half 4.155.
     """
     found = paper.compare([0, 1, 2], [4, 5, 6])
@@ -667,7 +667,8 @@ def test_two_runs_of_one_name_are_refused(short, capsys):
     assert Path("kept/flat/run.json").read_bytes() == before
     rewrite(a / "policy.npz", dict(iteration=30))
     assert main(["add", str(a), *TO]) == 0, "a run that goes on is the same one"
-    assert runs.read_all(["kept/flat"])[0].settings["iterations"] == 30
+    (run,) = runs.read_all(["kept/flat"])
+    assert run.settings["iterations"] == run.learned["iteration"][-1] == 30
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_it_plays(short, capsys, monkeypatch):

@@ -104,7 +104,9 @@ def test_modules_are_listed_and_packages_declared():
 def test_what_is_public_is_documented(module):
     tree = ast.parse(source(module))
     kinds = ast.FunctionDef | ast.ClassDef
-    public = [n for n in tree.body if isinstance(n, kinds) and not n.name.startswith("_")]
+    classes = [n for n in tree.body if isinstance(n, ast.ClassDef)]
+    inside = [n for part in (tree, *classes) for n in part.body if isinstance(n, kinds)]
+    public = [n for n in inside if not n.name.startswith("_")]
     assert [n.name for n in [*public, tree] if not ast.get_docstring(n)] == []
 
 

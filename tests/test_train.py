@@ -117,6 +117,7 @@ def test_two_iterations_fill_the_run_folder(tmp_path):
     assert record["env"]["history"] == 2
     (start,) = record["starts"]
     assert start["command"] == shlex.join(["python", "train.py", *map(str, command[2:])])
+    assert start["commit"] == run_folder.commit() and start["machine"]
     assert start["jax"]["mujoco"] and start["cores"] >= 1 and start["jax"]["cpu"]
     assert start["jax"]["device"] == "cpu"  # the tests ask JAX for nothing else
 
@@ -180,6 +181,15 @@ def test_pi_and_pi_prime_share_one_curriculum():
     # a success in the corner of the first region
     envs[1].commands.record(np.array([[0.75, 0.0, 0.75]]), np.ones((1, 2)))
     assert envs[0].state.command_weights[4, 22] == pytest.approx(0.2)
+
+
+def test_each_file_is_replaced_in_one_step_and_the_checkpoint_last(tmp_path, monkeypatch):
+    """Killed before it, a run goes on from the previous one. Only the picture comes later."""
+    real, names = os.replace, []
+    monkeypatch.setattr(os, "replace", lambda a, b: names.append(b) or real(a, b))
+    run("--iterations", 1, "--out", tmp_path)
+    first = "config.json", "metrics.csv", "policy.npz", "policy_prime.npz"
+    assert [path.name for path in names] == [*first, "checkpoint.npz", "curves.png"]
 
 
 def test_checkpoints_are_as_far_apart_as_asked(tmp_path, monkeypatch):
@@ -307,17 +317,17 @@ print("still here")
 
 
 def test_a_file_that_is_in_use_costs_no_iteration(finished, tmp_path, capsys, monkeypatch):
-    """Another program has it open, from the fourth iteration on, for three calls to the system."""
+    """Another program has it open in iterations 10 to 12, and it is tried again after each."""
     real, left = os.replace, [None] * 3
 
     def busy(*args):
-        if left and (tmp_path / "metrics.csv").exists() and len(rows(tmp_path)) > 4:
+        if left and (tmp_path / "curves.png").exists():
             left.pop()
             raise PermissionError(13, "in use")
         return real(*args)
 
     monkeypatch.setattr(os, "replace", busy)
-    run("--iterations", 20, "--out", tmp_path)
+    run("--iterations", 20, "--checkpoint-every", 10, "--out", tmp_path)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("train.py: ") and "in use" in line and "tries again" in line
     assert not left and rows(tmp_path) == rows(finished)
@@ -531,21 +541,23 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path, capsys, monkeypatch):
 # ---- the numbers of a run ----
 
 
-NUMBERS = dict(reward=0, v_x=0, power=0, alpha=290.12, steps_per_s=1, time_s=1, iteration=1)
+NUMBERS = dict(reward=0, task_reward=1.25, v_x=0, power=0, alpha=290.12)
+NUMBERS |= dict(steps_per_s=1, time_s=1, iteration=1)
 
 
 @pytest.mark.parametrize("terminal, shown", [(True, [1, 2, 3, 4, 5, 6]), (False, [1, 4, 6])])
 def test_the_console(tmp_path, capsys, monkeypatch, terminal, shown):
     """A pipe shows the first row at once and then one in half a minute. The first iteration also
-    compiled, so what it took does not count: 31 s for three, so five seconds for the last two.
+    compiled, so what it took does not count: 360 s for three, so four minutes for the last two.
     """
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     log = metrics.Log(tmp_path, 0, 6)
-    for iteration, seconds in enumerate((20, 35, 49, 51, 70, 75), 1):
+    for iteration, seconds in enumerate((2000, 2010, 2029, 2360, 2370, 2375), 1):
         log.show(NUMBERS | dict(iteration=iteration, time_s=seconds))
     lines = [line for line in capsys.readouterr().out.replace("\r", "\n").split("\n") if line]
     assert [int(line.split("/")[0]) for line in lines] == shown
-    assert "left" not in lines[0] and "  0 min left" in lines[-1]
+    assert "left" not in lines[0] and "task 1.25" in lines[0]
+    assert "  4 min left" in lines[shown.index(4)]
 
 
 def test_steps_per_second_are_of_this_process(tmp_path, monkeypatch):
@@ -567,6 +579,7 @@ OFF = "--xla_cpu_experimental_ynn_fusion_type="
     [
         ("0.10.0", "", []),
         ("0.12.0", "--a=1", ["--a=1", OFF]),
+        ("0.12.1", "", []),
         ("0.11.0", f"{OFF}2", [f"{OFF}2"]),
     ],
 )

@@ -71,7 +71,7 @@ def test_slopes_are_random_unit_vectors(monkeypatch):
     assert np.abs(gradients.mean((0, 1))).max() < 0.2
 
 
-@pytest.mark.parametrize(("cells_per_m", "points"), [(1, 20), (2, 10), (4, 5), (5, 4)])
+@pytest.mark.parametrize(("cells_per_m", "points"), [(1, 20), (2, 10), (4, 5), (5, 4), (10, 2)])
 def test_feature_size(cells_per_m, points):
     """Points are 0.05 m apart. With 4 cells per metre every fifth is 0 each way, and no other."""
     heights = tile(rng(), 0.15, cells_per_m)
