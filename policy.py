@@ -128,7 +128,7 @@ def save(file, pi):
 
 
 def load(path):
-    """The Policy in a file. Raises ValueError, or an error of NumPy, JSON or zip, if it is none."""
+    """The Policy in a file. If it is none, that raises ValueError, KeyError or something else."""
     with open(path, "rb") as file, np.load(file) as archive:
         arrays = dict(archive)
     config = json.loads(str(arrays.pop("config")))

@@ -135,7 +135,7 @@ def landings(off_ground, touch, dt):
 
     off_ground: (N, 4) int, control steps since each foot touched the ground, before this step
     touch:      (N, 4) bool, which feet are on the ground now
-    dt:     [s] of a control step
+    dt:         [s] of a control step
     A foot that is off the ground for one step only, as when it bounces, has not left it [lab code].
     """
     return np.where(touch & (off_ground > 1), off_ground * dt, 0.0)

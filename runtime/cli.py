@@ -15,7 +15,7 @@ COMPARE = {"at least": ge, "above": gt, "at most": le, "below": lt}  # all are F
 # limits of numbers, as `misfit` takes them
 COUNT = {"at least": 1, "at most": 10**12}  # a float still counts these one by one
 A_SEED = {"at least": 0, "at most": 2**32 - 1}  # JAX takes 32 bits: 2**32 would draw what 0 does
-# of which Windows has two
+# Windows has no SIGHUP
 SIGNALS = [getattr(signal, x) for x in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, x)]
 NOBODY_LISTENS = errno.EPIPE, errno.EIO, errno.EBADF
 # how the C++ of JAX and MuJoCo says that memory is full, in exceptions of any type
