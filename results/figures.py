@@ -253,7 +253,7 @@ def strides(runs):
     Other settings than the usual ones have a black edge.
     """
     groups, rows = by_group(runs, "velocity"), []
-    figure, panels = panels_of(groups, 1)
+    figure, panels = panels_of(groups, 1, sharex=True, sharey=True)
     for group, (axes,) in panels:
         for kind, arm in with_primes(groups[group]).items():
             x, y = ([run.did[name][0] for run in arm] for name in ("strides", "peak"))
