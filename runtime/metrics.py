@@ -151,7 +151,7 @@ def _draw_curves(folder):
     columns = read(folder)
     figure = Figure(figsize=(14, 6))
     # by hand, because matplotlib's layout engines take longer than all the rest
-    figure.subplots_adjust(left=0.04, right=0.99, bottom=0.1, top=0.94, wspace=0.25, hspace=0.2)
+    figure.subplots_adjust(left=0.05, right=0.99, bottom=0.1, top=0.94, wspace=0.25, hspace=0.2)
     axes = figure.subplots(2, 4, sharex=True)
     for ax, (name, title) in zip(axes.flat, PANELS.items(), strict=True):
         for prefix, label in (("", "pi"), ("prime_", "pi'")):
