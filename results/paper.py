@@ -229,13 +229,17 @@ def paper(places):
 
 
 def outcome(sentence, kinds):
-    """What came out of the kinds of a group, and the verdict; None if a side has no runs.
+    """What came out of the kinds of a group, and the verdict; None if a side has no runs, or only
+    one of the several weights that the sentence is about.
 
     A sentence about several weights or commands says at how many it agrees, and has no verdict.
     """
     pairs = [(left, right) for left in sentence.left for right in sentence.right]
     printed = dict(zip(pairs, sentence.printed, strict=False))
+    fewest = min(len(pairs), 2)
     pairs = [(left, right) for left, right in pairs if left in kinds and right in kinds]
+    if len(pairs) < fewest:
+        return None
     ranges = [sentence.commands]
     if sentence.commands == EACH:
         ranges = [(x / 10, x / 10) for x in range(11)]
@@ -248,12 +252,11 @@ def outcome(sentence, kinds):
             words.append(verdict(*ends, sentence.claimed, MARGINS[statistic]))
             if printed:
                 excluded += printed[left, right] < ends[0] or ends[1] < printed[left, right]
-    if not words:
-        return None
     n = len(words)
-    more = f"; {excluded} of {n} printed differences excluded" * bool(printed)
-    if len(sentence.left) == len(sentence.right) == len(ranges) == 1:
+    if fewest == len(ranges) == 1:
+        more = "".join(f"; printed {difference:+.2f}" for difference in sentence.printed)
         return f"{statistic} {shown}{more}", words[0]
+    more = f"; {excluded} of {n} printed differences excluded" * bool(printed)
     count = Counter(words)
     counts = f"agrees at {count['agrees']} of {n}, disagrees at {count['disagrees']}"
     return f"{statistic} {counts}{more}", ""
