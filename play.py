@@ -67,7 +67,7 @@ def make_env(env_cfg, asked):
 def play(env, pi, seed=0):
     """Let a Policy drive the robot for ever. Yields the log of each control step.
 
-    seed: of all draws but the ground, which is that of training
+    seed: of all draws but the ground, whose seed is that of training
     """
     obs, _ = env.reset(seed)
     while True:
