@@ -125,7 +125,7 @@ def main(argv):
     add("--gif", metavar="FILE", type=a_path, help="draw the runs into a GIF instead of a window")
     add("--web", action="store_true", help="show it in a browser, without a display")
     add("--port", type=int, help="of --web (default: free, from 8080 on)")
-    add("--seed", type=int, default=0, help="of the world (default: 0)")
+    add("--seed", type=int, default=0, help="of all draws but the ground (default: 0)")
     add("--seconds", type=float, help="of the robot's time in a GIF (default: 1)")
     three = dict(nargs=3, metavar=("VX", "VY", "YAW"), type=float)
     add("--command", **three, help="m/s, m/s, rad/s (default: the example of the first run's task)")

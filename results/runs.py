@@ -130,6 +130,8 @@ def read_all(places):
     for place in map(Path, places):
         with run_folder.reading(place):
             place.stat()  # it is there
+        if (place / "config.json").exists():
+            raise Refused(f"{place} is a run folder: add it, and name the file that add writes")
         files = sorted(place.glob("*.json")) if place.is_dir() else [place]
         if not files:
             what = "add keeps them in a folder for each task"
@@ -234,7 +236,7 @@ def add(folders, results=RESULTS, num_episodes=None):
     """Play the policies of run folders, and write the file of each into results/TASK.
 
     num_episodes: of each policy and kind of start, if not NUM_EPISODES. A run of the same name and
-    settings is replaced. What is refused is refused before anything is played.
+    settings is replaced, if it was no longer. What is refused is refused before anything is played.
     """
     found = {}
     for folder in dict.fromkeys(Path(folder).resolve() for folder in folders):
@@ -244,7 +246,8 @@ def add(folders, results=RESULTS, num_episodes=None):
         if path in found:
             raise Refused(f"{found[path][0]} and {folder} have one name: rename one of them")
         if path.exists():
-            earlier = read(path).settings | dict(iterations=settings["iterations"])  # it may go on
+            earlier = read(path).settings
+            earlier["iterations"] = max(earlier["iterations"], settings["iterations"])  # it went on
             if other := differing(earlier, settings):
                 raise Refused(f"{path} has another {other}: rename {folder}")
         kept = dict(asked=config, learned=table_of(thinned(learned)))
@@ -267,8 +270,8 @@ def learned_by(folder):
 
     Of a run that was stopped, or trains still, all is up to the iteration of its policies.
     """
-    names = [name for name in ("policy", "policy_prime") if (folder / f"{name}.npz").exists()]
-    loaded = {name: run_folder.load_policy(folder / f"{name}.npz") for name in names or ["policy"]}
+    names = ["policy"] + ["policy_prime"] * (folder / "policy_prime.npz").exists()
+    loaded = {name: run_folder.load_policy(folder / f"{name}.npz") for name in names}
     about, *rivals = (pi.about | pi.config for pi, _ in loaded.values())
     if other := ", ".join(differing(about, x) for x in rivals):
         raise Refused(f"{folder}: pi and pi' have another {other}: --resume the run")

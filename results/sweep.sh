@@ -25,8 +25,10 @@ folder=runs/$name
 mkdir -p "$folder"
 if [ -e "$folder/checkpoint.npz" ]; then
     flags="$flags --resume"
-elif [ "$(cat "$folder/metrics.csv" 2> /dev/null | wc -l)" -lt 3 ]; then
-    # a run that was killed in its first save starts anew, unless somebody trains there
+elif { [ -e "$folder/metrics.csv" ] || [ ! -e "$folder/policy.npz" ]; } &&
+    [ "$(cat "$folder/metrics.csv" 2> /dev/null | wc -l)" -lt 3 ]; then
+    # a run that was killed in its first save, which ends with the policies and the checkpoint,
+    # starts anew, unless somebody trains there
     flock -n "$folder/lock" rm -f "$folder"/{config.json,metrics.csv,policy.npz,policy_prime.npz}
 fi
 # train.py takes the place of this script, so that a signal to either arrives once, and it saves: a

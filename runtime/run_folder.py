@@ -7,9 +7,9 @@
     curves.png        the metrics, drawn
     lock              empty; a process that trains here holds it
 
-Nothing is pickled. All are written with each checkpoint, and replaced in one step, so a reader
-finds the old file or the new one. What cannot be read is refused, in one line. checkpoint.npz has a
-file of its own, `checkpoint.py`, because it takes JAX.
+Nothing is pickled. All but the lock are written with each checkpoint, and replaced in one step, so
+a reader finds the old file or the new one. What cannot be read is refused, in one line.
+checkpoint.npz has a file of its own, `checkpoint.py`, because it takes JAX.
 """
 
 import json

@@ -114,17 +114,19 @@ def window(env, steps, command, slow=1.0):
         launched = mujoco.viewer.launch_passive(model, data, **options)
     except RuntimeError as error:  # it needs macOS's first thread, which only mjpython hands over
         raise Refused(f"on macOS a window needs mjpython in place of python: {error}") from None
-    with launched as viewer:
-        point(viewer.cam, env, model)
-        for log in paced(steps, slow * env.dt):
-            if not viewer.is_running():
-                break
-            with viewer.lock():
-                show(env, model, data)
-            viewer.set_texts((None, None, caption(env, log, command), None))
-            viewer.sync()
-    for thread in set(threading.enumerate()) - {threading.current_thread()}:
-        thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
+    try:
+        with launched as viewer:
+            point(viewer.cam, env, model)
+            for log in paced(steps, slow * env.dt):
+                if not viewer.is_running():
+                    break
+                with viewer.lock():
+                    show(env, model, data)
+                viewer.set_texts((None, None, caption(env, log, command), None))
+                viewer.sync()
+    finally:  # also after Ctrl-C
+        for thread in set(threading.enumerate()) - {threading.current_thread()}:
+            thread.join(5.0)  # wait for the viewer's: GLFW may hang if Python ends first
 
 
 def launch_web(env, model, command, said, port):

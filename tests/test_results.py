@@ -580,7 +580,7 @@ def test_what_is_kept_of_velocity(short):
     assert {name: len(x) for name, x in run.episodes.items()} == dict(peak=11)
     assert run.numbers["peak"] == pytest.approx(evaluate.iqm(run.episodes["peak"]), abs=1e-4)
     assert run.speed["time"].tolist() == [0.16]
-    assert 1 / 0.32 <= run.did["strides"][0] <= 25
+    assert "strides" in run.did
 
 
 def test_strides_are_the_strongest_frequency():
@@ -668,10 +668,14 @@ def test_two_runs_of_one_name_are_refused(short, capsys):
     before = Path("kept/flat/run.json").read_bytes()
     assert "has another lam" in error_of(capsys, main, "add", b, *TO)
     assert Path("kept/flat/run.json").read_bytes() == before
-    rewrite(a / "policy.npz", dict(iteration=30))
+    with (a / "metrics.csv").open("a") as file:
+        file.write("36,3600036,1.8,36.3,inf\n")
+    rewrite(a / "policy.npz", dict(iteration=36))
     assert main(["add", str(a), *TO]) == 0, "a run that goes on is the same one"
     (run,) = runs.read_all(["kept/flat"])
-    assert run.settings["iterations"] == run.learned["iteration"][-1] == 30
+    assert run.settings["iterations"] == run.learned["iteration"][-1] == 36
+    rewrite(a / "policy.npz", dict(iteration=35))
+    assert "has another iterations" in error_of(capsys, main, "add", a, *TO), "it was longer"
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_it_plays(short, capsys, monkeypatch):
@@ -719,9 +723,11 @@ def test_pictures_do_not_depend_on_the_users_own_style(tmp_path):
     draw += f"; draw_curves(pathlib.Path({str(tmp_path)!r}))"
     alpha = "-m", "results", "alpha", "results/flat", "--out", str(tmp_path)
     page = "from tutorial.figures import *; draw('a', curves(('x', 'y', [1], {'z': [2]})))"
-    env = os.environ | dict(MPLBACKEND="module://nobody_has.this", MATPLOTLIBRC=str(tmp_path))
-    for words in (("-c", draw), alpha, ("-c", page)):
-        subprocess.run([sys.executable, *words], cwd=ROOT, env=env, check=True)
+    env = os.environ | dict(MATPLOTLIBRC=str(tmp_path))
+    subprocess.run([sys.executable, "-c", page], cwd=ROOT, env=env, check=True)
+    for words in (("-c", draw), alpha):  # also in a notebook's `!`, with the notebook's backend
+        elsewhere = env | dict(MPLBACKEND="nobody_has_this")
+        subprocess.run([sys.executable, *words], cwd=ROOT, env=elsewhere, check=True)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     with Image.open(tmp_path / "alpha.png") as image:
         assert len(image.convert("RGB").getcolors(2**24)) > 20, "the figure is blank"
@@ -738,15 +744,18 @@ def test_pictures_do_not_depend_on_the_users_own_style(tmp_path):
         (["add", "nowhere"], "nowhere/policy.npz: No such file or directory"),
         (["table", "empty"], "empty holds no run"),
         (["table", "half.json"], "half.json is damaged"),
+        (["table", "run"], "run is a run folder: add it"),
     ],
 )
 def test_what_there_is_not_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
+    Path("run").mkdir()
+    Path("run/config.json").touch()
     whole = (RESULTS / "flat/flat-ppo-lam0-seed10.json").read_text()
     Path("half.json").write_text(whole[: len(whole) // 2])
     assert says in error_of(capsys, main, *argv)
-    assert {path.name for path in tmp_path.iterdir()} == {"empty", "half.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"empty", "half.json", "run"}
 
 
 @pytest.mark.parametrize(

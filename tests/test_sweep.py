@@ -73,8 +73,11 @@ def test_a_line_of_a_list_is_what_is_trained(checkout):
     array |= dict(SLURM_SUBMIT_DIR=str(checkout))
     assert said("bash", slurm, listed, CORES="3", **array) == f"2 {flags} --threads 2 {out}"
     assert {path.name for path in folder.iterdir()} == {"lock"}
+    (folder / "policy.npz").touch()
+    said(script, listed, 1)  # somebody keeps nothing but the policy, and train.py refuses
+    assert (folder / "policy.npz").exists()
     (folder / "metrics.csv").write_text("iteration\n1\n2\n")
-    said(script, listed, 1)  # somebody has deleted its checkpoint, and train.py refuses
+    said(script, listed, 1)  # somebody has deleted its checkpoint
     assert (folder / "metrics.csv").exists()
     (folder / "checkpoint.npz").touch()
     assert said(script, listed, 1) == f"1 {flags} --resume --threads 1 {out}"
