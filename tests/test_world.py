@@ -74,10 +74,10 @@ def test_what_an_episode_draws_is_in_its_range(task):
 
 
 def test_what_is_drawn_lasts_one_episode():
-    """IV-A.2. 16 of 32 robots end their episode at step 2 and get another ground, friction and
-    load. The others keep theirs.
+    """IV-A.2, IV-A.4. 16 of 32 robots end their episode at step 2 and get another ground, and
+    another of all that is drawn. The others keep theirs.
     """
-    env = make(32, task="rough", episode_steps=4)
+    env = make(32, task="rough", episode_steps=4, **HARD)
     env.state.age[:16] = 2
     tile, before = env.state.tile.copy(), drawn(env)
     still(env)
@@ -85,9 +85,9 @@ def test_what_is_drawn_lasts_one_episode():
     assert still(env)[3].tolist() == [True] * 16 + [False] * 16
     moved = env.state.tile != tile
     assert not moved[16:].any() and moved[:16].sum() >= 10  # 1 in 16 draws the same
-    for name in ("friction", "payload"):
-        old, new = before[name], drawn(env)[name]
-        assert (old[16:] == new[16:]).all() and (old[:16] != new[:16]).all()
+    for name, new in drawn(env).items():
+        old = before[name]
+        assert (old[16:] == new[16:]).all() and (old[:16] != new[:16]).all(), name
 
 
 # ---- rough ground ----
@@ -394,10 +394,12 @@ def seen(monkeypatch):
 def test_what_the_shaped_reward_sees_of_the_trunk(seen):
     """Robots on their right side: the trunk's y is up, and its z is the world's -y.
 
-    They roll at 1, pitch at 2 and yaw at 4 rad/s, and move at 8, 16, 32 m/s in the world, so at -16
-    along their z. Heights are above the ground below, as MuJoCo's rays find it there.
+    They roll at 1, pitch at 2 and yaw at 4 rad/s, and move at 8, 16, 32 m/s in the world, so at 32
+    along their y, and -16 along their z. The trunk's frame is rewarded. Heights are above the
+    ground below, as MuJoCo's rays find it there.
     """
-    env = make(8, task="rough", roughness=(0.15, 0.15), reward="shaped", **FROZEN)
+    frame = dict(reward="shaped", velocity_frame="body")
+    env = make(8, task="rough", roughness=(0.15, 0.15), **frame, **FROZEN)
     place(env, quaternion=ON_ITS_SIDE, velocity=(8, 16, 32), rates=(1, 2, 4))
     ground = rays(env, env.qpos[:, :2])
     env.qpos[:, 2] = ground + 0.25
@@ -406,6 +408,7 @@ def test_what_the_shaped_reward_sees_of_the_trunk(seen):
     assert seen[0]["height"] == pytest.approx(np.full(8, 0.25), abs=2e-3)
     assert seen[0]["roll_pitch_rate"] == pytest.approx(np.tile([1, 2], (8, 1)), abs=1e-3)
     assert seen[0]["v_z"] == pytest.approx(np.full(8, -16))
+    assert seen[0]["velocity"] == pytest.approx(np.tile([8, 32, 4], (8, 1)), abs=1e-3)
     assert seen[0]["gravity"] == pytest.approx(np.tile([0.0, -1.0, 0.0], (8, 1)), abs=1e-6)
 
 

@@ -69,20 +69,23 @@ def test_success_needs_both(linear, angular, success):
     assert commands.weights.any() == success
 
 
-@pytest.mark.parametrize(("frame", "kernel"), [("heading", 1.0), ("body", np.exp(-1))])
-def test_success_is_in_the_frame_that_is_rewarded(frame, kernel):
-    """D25. Nose up by 60 degrees, 1 m/s and 1 rad/s over ground, as asked. In the body frame both
-    are cos 60 = 1/2 of it: exp(-0.5^2 / 0.25) = 1/e. What was asked is recorded, not what is asked
-    next. Of 880 cells 16 have the weight 1.
+@pytest.mark.parametrize(
+    ("frame", "expected"), [("heading", [1, np.exp(-1)]), ("body", [np.exp(-1), 1])]
+)
+def test_success_is_in_the_frame_that_is_rewarded(frame, expected):
+    """D25. Nose up by 60 degrees, 1 m/s and 1 rad/s over ground, where 1 m/s and 1/2 rad/s are
+    asked. In the body frame both are cos 60 = 1/2 of it. Half too much or too little is
+    exp(-0.5^2 / 0.25) = 1/e. What was asked is recorded, not what is asked next. Of 880 cells 16
+    have the weight 1.
     """
     env, seen = quiet(1, velocity_frame=frame, command_steps=1), []
     env.commands.record = lambda command, kernels: seen.extend([*command, *kernels])
     place(env, **NOSE_UP)
-    env.state.command[:] = 1.0, 0.0, 1.0
+    env.state.command[:] = 1.0, 0.0, 0.5
     info = still(env)[4]
     command, kernels = seen
-    assert command.tolist() == [1, 0, 1]
-    assert kernels == pytest.approx([kernel, kernel], abs=1e-4)
+    assert command.tolist() == [1, 0, 0.5]
+    assert kernels == pytest.approx(expected, abs=1e-4)
     assert info["log"]["command_area"] == pytest.approx([16 / 880])
 
 

@@ -304,7 +304,7 @@ def test_algorithm1_line09_ppo_loss():
     loss        -1.2 - 0.01 * 1.4189385 + 4.25  = 3.0358106
     KL          1.5 - 1 - log 1.5               = 0.0945349
 
-    All of the batch is beyond the clip range, also where the actions are half as likely.
+    All of the batch is beyond the clip range. Ratios of 0.5 and 2 are, 1 and 1.1 are not.
     """
     then = -0.91893853 - np.log(1.5)  # log density of a normal at its mean, less log 1.5
     batch = dict(obs=1.0, privileged=0.5, action=0.0, target=3.0)
@@ -315,8 +315,8 @@ def test_algorithm1_line09_ppo_loss():
     assert float(loss) == pytest.approx(3.0358106, rel=1e-6)
     assert float(log["kl"]) == pytest.approx(0.0945349, rel=1e-5)
     assert float(log["policy_loss"]) == pytest.approx(-1.2) and log["clip_fraction"] == 1.0
-    batch |= dict(log_prob=jnp.full(4, -0.91893853 - np.log(0.5)))
-    assert ppo.ppo_loss(pi.params, batch, EIPO)[1]["clip_fraction"] == 1.0
+    batch |= dict(log_prob=-0.91893853 - np.log([0.5, 2, 1, 1.1]))
+    assert ppo.ppo_loss(pi.params, batch, EIPO)[1]["clip_fraction"] == 0.5
 
 
 def test_algorithm1_line09_ppo_loss_sums_over_outputs_and_averages_over_samples():
@@ -452,28 +452,32 @@ def test_algorithm1_line09_line11_a_step_has_the_size_lr():
 
 
 def test_algorithm1_line09_ppo_clips_the_norm_at_max_grad_norm():
-    """Gradients of actor and noise, which count as one network, are clipped. Those of the critic
-    and of the estimator are small enough, each by itself. By the beta_1 = 0.9 and beta_2 = 0.999 of
-    Section IV-C.c Adam's mean starts at 1/10 of the clipped gradient, and its mean square at 1/1000
-    of that gradient's square:
+    """The gradient of each network is clipped by itself, where actor and noise count as one. By the
+    beta_1 = 0.9 and beta_2 = 0.999 of Section IV-C.c Adam's mean starts at 1/10 of the clipped
+    gradient, and its mean square at 1/1000 of that gradient's square:
 
-    gradient           norm     clipped        mean             mean square
-    3, 4               5        0.6, 0.8       0.06, 0.08       0.36e-3, 0.64e-3
-    3/8, 4/8           5/8      3/8, 4/8       0.0375, 0.05
-    0.6, 0.8           1        0.6, 0.8       0.06, 0.08
+    network     gradient   norm    clipped     mean          mean square
+    actor       3, 4       5       0.6, 0.8    0.06, 0.08    0.36e-3, 0.64e-3
+    critic      6, 8       10      0.6, 0.8    0.06, 0.08
+    estimator   9, 12      15      0.6, 0.8    0.06, 0.08
 
-    Adam's first direction is 1 up every slope.
+    Adam's first direction is 1 up every slope. A sixteenth of these gradients, with norms of 5/16,
+    10/16 and 15/16, is not clipped, and a tenth of 3/16 is 0.01875.
     """
-    actor, log_std, critic = jnp.array([3.0]), jnp.array([4.0]), jnp.array([0.375, 0.5])
-    gradient = dict(actor=actor, log_std=log_std, critic=critic, estimator=jnp.array([0.6, 0.8]))
+    gradient = dict(actor=[3.0], log_std=[4.0], critic=[6.0, 8.0], estimator=[9.0, 12.0])
+    gradient = {name: jnp.array(x) for name, x in gradient.items()}
     optimizer = ppo.optimizer(EIPO)
     step, state = optimizer.update(gradient, optimizer.init(gradient))
     mean, square = (optax.tree_utils.tree_get(state, name) for name in ("mu", "nu"))
-    assert [*mean["actor"], *mean["log_std"]] == pytest.approx([0.06, 0.08])
-    assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
-    assert mean["estimator"].tolist() == pytest.approx([0.06, 0.08])
+    for each in ([*mean["actor"], *mean["log_std"]], [*mean["critic"]], [*mean["estimator"]]):
+        assert each == pytest.approx([0.06, 0.08])
     assert [*square["actor"], *square["log_std"]] == pytest.approx([0.36e-3, 0.64e-3])
     assert [*step["actor"], *step["log_std"]] == pytest.approx([1.0, 1.0], rel=1e-4)
+    small = {name: x / 16 for name, x in gradient.items()}
+    mean = optax.tree_utils.tree_get(optimizer.update(small, optimizer.init(small))[1], "mu")
+    assert [*mean["actor"], *mean["log_std"]] == pytest.approx([0.01875, 0.025])
+    assert mean["critic"].tolist() == pytest.approx([0.0375, 0.05])
+    assert mean["estimator"].tolist() == pytest.approx([0.05625, 0.075])
 
 
 @pytest.mark.parametrize(
